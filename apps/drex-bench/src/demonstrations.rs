@@ -112,23 +112,23 @@ fn of_demonstration(
     number: usize,
     options: &DemonstrationOptions,
 ) -> Result<Vec<Grasp>> {
-    let mut rules = GraspOptions::default();
-    rules.friction = options.friction;
-    let surface_of = object.surface();
-    let found = retarget_grasp(demo, target, &surface_of, &rules).with_context(|| demo.source.clone())?;
-    let mut limits = EvaluationOptions::of_candidate(&object.object);
-    (limits.contact.friction, limits.min_table_clearance_m) = (options.friction, options.clearance_m);
-    let screened = |f: &GraspFrame| {
-        let grasp = Grasp::new(&target.robot, f.q.clone(), f.object_from_base);
-        grasp.screened(surface, &object.object, &target.robot, &limits)
+    // What a hand assumes of the friction, whatever it is.
+    let mut held = object.object.clone();
+    held.friction = options.friction;
+    let rules = GraspOptions::default();
+    let found = retarget_grasp(demo, target, &held, &rules).with_context(|| demo.source.clone())?;
+    let mut limits = EvaluationOptions::candidate();
+    limits.min_table_clearance_m = options.clearance_m;
+    let screened = |f: &GraspFrame| f.grasp.clone().screened(surface, &held, &target.robot, &limits);
+    let Some(own) = found.frames.iter().find(|f| f.is_accepted() && f.evaluation.force_closure) else {
+        return Ok(Vec::new());
     };
-    let Some(own) = found.frames.iter().find(|f| f.is_accepted() && f.force_closure) else { return Ok(Vec::new()) };
     let Some(own) = screened(own)? else { return Ok(Vec::new()) };
     let mut vary = AugmentOptions::default();
     (vary.grasp, vary.seed) = (rules, options.seed.wrapping_add(number as u64));
     // The object's symmetries come with other demonstrations; looking for them here takes longer than solving.
     (vary.symmetry_tolerance_m, vary.attempts_per_grasp) = (0.0, 3);
-    let more = augment(&found, target, &surface_of, &vary, options.per_clip)?;
+    let more = augment(&found, target, &held, &vary, options.per_clip)?;
     let mut grasps = vec![own];
     for grasp in &more.grasps {
         grasps.extend(screened(&grasp.grasp)?);

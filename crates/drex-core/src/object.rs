@@ -2,9 +2,10 @@
 
 use std::sync::Arc;
 
-use nalgebra::{Point3, Unit, Vector3};
+use nalgebra::{Point3, Translation3, Unit, Vector3};
 
 use crate::mesh::{farthest_points, sample_surface};
+use crate::pose::upright;
 use crate::{ConvexPart, MassProperties, Pose, SignedDistance, SurfacePoint, TriMesh};
 
 /// Coefficient of friction of an object against hand and table where nobody states one; reports list it as an assumption.
@@ -20,6 +21,11 @@ const GRAVITY_M_S2: f64 = 9.81;
 pub trait SolidGeometry: SignedDistance {
     /// The exact signed distance to the boundary; often slower.
     fn exact(&self) -> &dyn SignedDistance;
+
+    /// The most by which its own distance is off the exact one anywhere, metres.
+    fn error_m(&self) -> f64 {
+        0.0
+    }
 
     /// Lower and upper corner of the axis-aligned bounding box, metres.
     fn bounding_box(&self) -> (Point3<f64>, Point3<f64>);
@@ -106,6 +112,12 @@ impl Object {
         self
     }
 
+    /// The same object resting on this table (object frame), its origin above that of the world.
+    #[must_use]
+    pub fn with_table(self, table: &TablePlane) -> Self {
+        self.with_rest_pose(Pose::from_parts(Translation3::new(0.0, 0.0, -table.height_m), upright(&table.up)))
+    }
+
     /// The table top in the object's frame, while the object rests on it.
     pub fn table(&self) -> TablePlane {
         let up = Unit::new_normalize(self.world_from_object.rotation.inverse() * Vector3::z());
@@ -115,6 +127,11 @@ impl Object {
     /// Mass, kg.
     pub fn mass_kg(&self) -> f64 {
         self.mass_properties.mass_kg
+    }
+
+    /// Weight, N.
+    pub fn weight_n(&self) -> f64 {
+        self.mass_kg() * GRAVITY_M_S2
     }
 
     /// Centre of mass, metres.

@@ -2,7 +2,9 @@
 
 use std::path::Path;
 
-use nalgebra::{Isometry3, Matrix3, Matrix4, Quaternion, Rotation3, Translation3, UnitQuaternion, Vector3, Vector6};
+use nalgebra::{
+    Isometry3, Matrix3, Matrix4, Quaternion, Rotation3, Translation3, Unit, UnitQuaternion, Vector3, Vector6,
+};
 
 use serde::{Deserialize, Serialize};
 
@@ -186,6 +188,12 @@ pub fn to_wxyz(pose: &Pose) -> ([f64; 3], [f64; 4]) {
     let q = pose.rotation.quaternion();
     let s = if q.w < 0.0 { -1.0 } else { 1.0 };
     (pose.translation.vector.into(), [s * q.w, s * q.i, s * q.j, s * q.k])
+}
+
+/// The shortest turn that makes the direction `up` vertical (+z); of straight down the half turn about x.
+pub fn upright(up: &Unit<Vector3<f64>>) -> UnitQuaternion<f64> {
+    UnitQuaternion::rotation_between_axis(up, &Vector3::z_axis())
+        .unwrap_or_else(|| UnitQuaternion::from_axis_angle(&Vector3::x_axis(), std::f64::consts::PI))
 }
 
 /// The difference `b ⊖ a` as (translation in the common frame, rotation vector of `a⁻¹ b` in frame of a), metres and radians.

@@ -1,7 +1,7 @@
 //! Is a grasp any good? Without simulating it: where the hand is, what it touches, and what that holds at rest. It is a calculation, not a
 //! success rate.
 
-use drex_core::Object;
+use drex_core::{Object, SdfSample, SignedDistance, SolidGeometry};
 use drex_robot::Robot;
 use nalgebra::Point3;
 use serde::{Deserialize, Serialize};
@@ -9,22 +9,26 @@ use serde::{Deserialize, Serialize};
 use crate::grip_force::describe;
 use crate::{
     ClosureOptions, Contact, ContactOptions, Grasp, GraspContact, GraspError, GripForceError, GripForceProblem,
-    GripForceSolution, HandSurface, Result, TorqueLimits, force_closure, is_force_closed, minimum_grip_force,
-    smallest_forces,
+    GripForceSolution, HandSurface, Result, SelfCollision, TorqueLimits, force_closure, is_force_closed,
+    minimum_grip_force, smallest_forces,
 };
 
 /// The limits that a grasp has to keep. A stage that needs another limit changes that field, and says why there.
 #[derive(Debug, Clone, PartialEq)]
 #[non_exhaustive]
 pub struct EvaluationOptions {
-    /// What counts as a contact, and the friction there. A link that is 2 mm off the surface touches: pads give by as much when they are pressed, and
+    /// What counts as a contact; the friction there is the object's, whatever this says. A link that is 2 mm off the surface touches: pads give by as much when they are pressed, and
     /// mesh and pose are no better known.
     pub contact: ContactOptions,
     /// Margin γ on the weight: 1 carries it at rest.
     pub gamma: f64,
+    /// A finger touches if a point of it is at most this far from the surface, metres: 2 mm, as for a contact.
+    pub touch_gap_m: f64,
     /// Deepest that the hand may be inside the object, metres: 2 mm, for the reason that 2 mm off touches; deeper a trial starts with a blow.
     pub max_penetration_m: f64,
-    /// Least height of the hand above the table top, metres. It may be 1 mm below: the table of a scan is no better known.
+    /// Deepest that two links may be inside each other, metres: 1 mm, since collision shapes are rounder than links.
+    pub max_self_collision_m: f64,
+    /// Least height of the hand above the table top, metres; minus infinity where there is no table. It may be 1 mm below: the table of a scan is no better known.
     pub min_table_clearance_m: f64,
     /// Fingers that have to touch besides the thumb: 2, since a pinch of two hard fingertips turns about the line between them.
     pub min_fingers: usize,
@@ -36,6 +40,9 @@ pub struct EvaluationOptions {
     pub max_normal_n: Option<f64>,
     /// Whether joint torques are limited to what the motors give.
     pub motors: bool,
+    /// Whether the contacts have to be in force closure and to carry the weight. A grasp that people demonstrated need not, as long as its fingers are at
+    /// the surface: they close further.
+    pub must_hold: bool,
     /// Whether all that is wrong is looked for, and qualities and margins are computed. A search asks for no more than whether a grasp passes, which does
     /// not depend on it.
     pub complete: bool,
@@ -46,33 +53,37 @@ impl Default for EvaluationOptions {
         Self {
             contact: ContactOptions::default(),
             gamma: 1.0,
+            touch_gap_m: 0.002,
             max_penetration_m: 0.002,
+            max_self_collision_m: 0.001,
             min_table_clearance_m: -0.001,
             min_fingers: 2,
             thumb: true,
             torsion_m: None,
             max_normal_n: None,
             motors: true,
+            must_hold: true,
             complete: true,
         }
     }
 }
 
 impl EvaluationOptions {
-    /// The defaults at the object's friction.
-    pub fn of(object: &Object) -> Self {
-        Self { contact: ContactOptions::with_friction(object.friction), ..Self::default() }
-    }
-
     /// The limits of a grasp that is yet to be tried: the dry run of its closing says which fingers bring what the motors can give to bear, so the thumb
     /// and one finger may do, and torques are left to it.
-    pub fn of_candidate(object: &Object) -> Self {
-        Self { min_fingers: 1, motors: false, complete: false, ..Self::of(object) }
+    pub fn candidate() -> Self {
+        Self { min_fingers: 1, motors: false, complete: false, ..Self::default() }
     }
 
     /// Those of a candidate that was synthesised: no hand has been there yet, so it keeps 2 mm off the table, by which the object may stand elsewhere.
-    pub fn of_synthesised(object: &Object) -> Self {
-        Self { min_table_clearance_m: 0.002, ..Self::of_candidate(object) }
+    pub fn synthesised() -> Self {
+        Self { min_table_clearance_m: 0.002, ..Self::candidate() }
+    }
+
+    /// Those of a grasp that people demonstrated: its hand has been there, so it touches the table at most. What its motors can give and whether its
+    /// contacts hold is measured and no limit, since its fingers close further.
+    pub fn demonstrated() -> Self {
+        Self { min_table_clearance_m: 0.0, motors: false, must_hold: false, complete: false, ..Self::default() }
     }
 }
 
@@ -83,6 +94,9 @@ pub struct FingerContacts {
     pub finger: String,
     /// Number of contacts.
     pub contacts: usize,
+    /// Whether the finger touches, at [`EvaluationOptions::touch_gap_m`]; of no interest for the palm.
+    #[serde(skip)]
+    pub touches: bool,
     /// Sum of the normal forces in the minimum grip force, N; zero without one.
     pub normal_n: f64,
 }
@@ -103,8 +117,17 @@ pub struct GraspEvaluation {
     pub contacts: Vec<Contact>,
     /// Deepest point of the hand inside the object, mm; zero or more.
     pub penetration_mm: f64,
+    /// Name of the link with that point; `None` if the hand is out of the object.
+    #[serde(default)]
+    pub deepest_link: Option<String>,
     /// Deepest point of the hand below the table top, mm; zero or more.
     pub table_penetration_mm: f64,
+    /// Height of the hand's lowest point above the table top, mm; negative below it.
+    #[serde(skip)]
+    pub table_clearance_mm: f64,
+    /// The deepest pair of links inside each other; not looked for where the grasp has failed and not all that is wrong was asked for.
+    #[serde(default)]
+    pub self_collision: Option<SelfCollision>,
     /// Whether the contacts are in force closure.
     pub force_closure: bool,
     /// Ferrari-Canny quality about the centre of mass; see [`crate::ForceClosure`]. `None` if it was not asked for.
@@ -147,30 +170,47 @@ pub fn evaluate_with(
     options: &EvaluationOptions,
 ) -> Result<GraspEvaluation> {
     let joints = grasp.joints_of(robot)?;
-    let (object_from_base, geometry) = (&grasp.object_from_base, object.geometry.exact());
+    let contact = ContactOptions { friction: object.friction, ..options.contact.clone() };
+    contact.check()?;
     let (body, table) = (&object.mass_properties, object.table());
-    let contacts = surface.contacts(robot, &joints, object_from_base, geometry, &options.contact)?;
-    let poses = robot.forward_kinematics(&joints, object_from_base);
-    let depth = surface.depths(&poses, geometry, 0.0).into_iter().fold(0.0, f64::max);
-    let lowest = surface.lowest(&poses, &table.up).into_iter().fold(f64::INFINITY, f64::min);
-    let clearance = lowest - table.height_m;
+    let poses = robot.forward_kinematics(&joints, &grasp.object_from_base);
+    let limit_m = contact.max_gap_m.max(options.touch_gap_m);
+    let near = surface.near(&poses, &Near { geometry: &*object.geometry, limit_m }, limit_m);
+    let contacts = surface.contacts_among(&poses, &near, &contact);
+    let depth_m =
+        |points: &Vec<(usize, SdfSample)>| points.iter().map(|p| -p.1.distance_m).fold(f64::NEG_INFINITY, f64::max);
+    let depths_m: Vec<f64> = near.iter().map(depth_m).collect();
+    let (deepest, depth_m) = largest(&depths_m);
+    let below_m: Vec<f64> = surface.lowest(&poses, &table.up).iter().map(|height| table.height_m - height).collect();
+    let (lowest, below_m) = largest(&below_m);
+    let link = |i: usize| &robot.links[i].name;
 
     let mut failures = Vec::new();
-    let count = |finger: Option<usize>| contacts.iter().filter(|c| c.finger == finger).count();
-    touching_fingers(surface, options, &|f| count(Some(f)), &mut failures);
-    if depth > options.max_penetration_m {
-        failures.push(format!("the hand is {:.1} mm inside the object", 1e3 * depth));
+    let touches = |finger: usize| surface.fingers[finger].links.iter().any(|&l| -depths_m[l] <= options.touch_gap_m);
+    touching_fingers(surface, options, &touches, &mut failures);
+    if depth_m > options.max_penetration_m {
+        failures.push(format!("link \"{}\" is {:.1} mm inside the object", link(deepest), 1e3 * depth_m));
     }
-    if clearance < options.min_table_clearance_m {
-        failures.push(match clearance < 0.0 {
-            true => format!("the hand is {:.1} mm below the table top", -1e3 * clearance),
-            false => format!("the hand is only {:.1} mm above the table top", 1e3 * clearance),
+    if -below_m < options.min_table_clearance_m {
+        let (link, off_mm) = (link(lowest), -1e3 * below_m);
+        failures.push(match off_mm < 0.0 {
+            true => format!("link \"{link}\" is {:.1} mm below the table top", -off_mm),
+            false => format!("link \"{link}\" is only {off_mm:.1} mm above the table top"),
         });
+    }
+    let self_collision = match options.complete || failures.is_empty() {
+        true => surface.self_collision(robot, &poses),
+        false => None,
+    };
+    if let Some(SelfCollision { links: (a, b), depth_mm }) = &self_collision
+        && *depth_mm > 1e3 * options.max_self_collision_m
+    {
+        failures.push(format!("links \"{a}\" and \"{b}\" are {depth_mm:.1} mm inside each other"));
     }
     let goes_on = options.complete || failures.is_empty();
 
     let closed = goes_on && is_closed(&contacts, body.center_of_mass, options)?;
-    if goes_on && !closed {
+    if goes_on && options.must_hold && !closed {
         failures.push("the contacts are not in force closure".into());
     }
     let (mut epsilon, mut min_weight) = (None, None);
@@ -184,7 +224,7 @@ pub fn evaluate_with(
     let grip_force = match options.complete || failures.is_empty() {
         true => {
             let (grip_force, failure) = grip_force(robot, &joints, grasp, object, &contacts, options)?;
-            failures.extend(failure);
+            failures.extend(failure.filter(|_| options.must_hold));
             grip_force
         }
         false => None,
@@ -198,7 +238,8 @@ pub fn evaluate_with(
     };
     let row = |name: &str, finger: Option<usize>| FingerContacts {
         finger: name.into(),
-        contacts: count(finger),
+        contacts: contacts.iter().filter(|c| c.finger == finger).count(),
+        touches: finger.is_some_and(touches),
         normal_n: force(finger),
     };
     let mut fingers: Vec<FingerContacts> =
@@ -208,8 +249,11 @@ pub fn evaluate_with(
         passed: failures.is_empty(),
         failures,
         fingers,
-        penetration_mm: 1e3 * depth,
-        table_penetration_mm: 1e3 * (-clearance).max(0.0),
+        penetration_mm: 1e3 * depth_m.max(0.0),
+        deepest_link: (depth_m > 0.0).then(|| link(deepest).clone()),
+        table_penetration_mm: 1e3 * below_m.max(0.0),
+        table_clearance_mm: -1e3 * below_m,
+        self_collision,
         force_closure: closed,
         epsilon,
         min_weight,
@@ -217,10 +261,27 @@ pub fn evaluate_with(
         friction_margin: grip_force.as_ref().filter(|_| options.complete).map(|s| s.friction_margin),
         torque_margin: grip_force.as_ref().map(|s| s.torque_margin),
         mass_kg: body.mass_kg,
-        friction: options.contact.friction,
+        friction: object.friction,
         gamma: options.gamma,
         contacts,
     })
+}
+
+/// The exact distance where it can be below a limit, and a fast one that is no less than the limit elsewhere.
+struct Near<'a> {
+    geometry: &'a dyn SolidGeometry,
+    limit_m: f64,
+}
+
+impl SignedDistance for Near<'_> {
+    fn signed_distance(&self, point: &Point3<f64>) -> SdfSample {
+        let (fast, error_m) = (self.geometry.signed_distance(point), self.geometry.error_m());
+        let least_m = fast.distance_m - error_m;
+        match least_m > self.limit_m || error_m == 0.0 {
+            true => SdfSample { distance_m: least_m, ..fast },
+            false => self.geometry.exact().signed_distance(point),
+        }
+    }
 }
 
 impl Grasp {
@@ -229,13 +290,20 @@ impl Grasp {
     /// # Errors
     /// As [`evaluate_with`].
     pub fn screened(
-        mut self,
+        self,
         surface: &HandSurface,
         object: &Object,
         robot: &Robot,
         options: &EvaluationOptions,
     ) -> Result<Option<Self>> {
         let evaluation = evaluate_with(surface, &self, object, robot, options)?;
+        let passed = evaluation.passed;
+        Ok(passed.then(|| self.with_contacts(&evaluation, robot)))
+    }
+
+    /// The grasp with the contacts and the grip force that its evaluation found.
+    #[must_use]
+    pub fn with_contacts(mut self, evaluation: &GraspEvaluation, robot: &Robot) -> Self {
         let contact = |c: &Contact| GraspContact {
             link: robot.links[c.link].name.clone(),
             point_m: c.point.into(),
@@ -243,7 +311,7 @@ impl Grasp {
         };
         self.contacts = evaluation.contacts.iter().map(contact).collect();
         self.grip_force_n = evaluation.grip_force_n;
-        Ok(evaluation.passed.then_some(self))
+        self
     }
 }
 
@@ -299,21 +367,21 @@ fn unless_at_the_edge<T>(answer: Result<T>) -> Result<Option<T>> {
 fn touching_fingers(
     surface: &HandSurface,
     options: &EvaluationOptions,
-    contacts_of: &dyn Fn(usize) -> usize,
+    touches: &dyn Fn(usize) -> bool,
     failures: &mut Vec<String>,
 ) {
     let thumb = surface.thumb();
     if options.thumb
         && let Some(t) = thumb
-        && contacts_of(t) == 0
+        && !touches(t)
     {
         failures.push("the thumb does not touch the object".into());
     }
     let others: Vec<usize> = (0..surface.fingers.len()).filter(|&f| Some(f) != thumb).collect();
-    let touching = others.iter().filter(|&&f| contacts_of(f) > 0).count();
+    let touching = others.iter().filter(|&&f| touches(f)).count();
     if touching < options.min_fingers {
         let missing: Vec<&str> =
-            others.iter().filter(|&&f| contacts_of(f) == 0).map(|&f| surface.fingers[f].name.as_str()).collect();
+            others.iter().filter(|&&f| !touches(f)).map(|&f| surface.fingers[f].name.as_str()).collect();
         failures.push(format!(
             "{touching} of {} fingers touch the object, {} are asked for (not touching: {})",
             others.len(),
@@ -321,4 +389,9 @@ fn touching_fingers(
             missing.join(", ")
         ));
     }
+}
+
+/// Index and value of the largest entry.
+fn largest(values: &[f64]) -> (usize, f64) {
+    values.iter().copied().enumerate().fold((0, f64::NEG_INFINITY), |best, v| if v.1 > best.1 { v } else { best })
 }

@@ -1,6 +1,6 @@
 //! Where a posed hand touches an object.
 
-use drex_core::{Pose, SignedDistance};
+use drex_core::{Pose, SdfSample, SignedDistance};
 use drex_robot::Robot;
 use nalgebra::{Point3, Vector3};
 
@@ -42,6 +42,19 @@ impl ContactOptions {
     pub fn with_friction(friction: f64) -> Self {
         Self { friction, ..Self::default() }
     }
+
+    pub(crate) fn check(&self) -> Result<()> {
+        if !(self.max_gap_m >= 0.0 && self.friction >= 0.0 && self.max_per_link > 0) {
+            return Err(GraspError::value(
+                format!(
+                    "contact options: gap {} m, friction {}, {} per link",
+                    self.max_gap_m, self.friction, self.max_per_link
+                ),
+                "give a gap and friction of zero or more and at least one contact per link",
+            ));
+        }
+        Ok(())
+    }
 }
 
 /// Contacts of the hand at joint vector `q` (model order, rad) with an object.
@@ -77,23 +90,34 @@ impl HandSurface {
         options: &ContactOptions,
     ) -> Result<Vec<Contact>> {
         check_joints(robot, q)?;
-        if !(options.max_gap_m >= 0.0 && options.friction >= 0.0 && options.max_per_link > 0) {
-            return Err(GraspError::value(
-                format!(
-                    "contact options: gap {} m, friction {}, {} per link",
-                    options.max_gap_m, options.friction, options.max_per_link
-                ),
-                "give a gap and friction of zero or more and at least one contact per link",
-            ));
-        }
+        options.check()?;
         let poses = robot.forward_kinematics(q, object_from_base);
+        Ok(self.contacts_among(&poses, &self.near(&poses, object, options.max_gap_m), options))
+    }
+
+    /// Per link the points within `limit_m` of the object: index and what the object says there.
+    pub(crate) fn near(
+        &self,
+        poses: &[Pose],
+        object: &dyn SignedDistance,
+        limit_m: f64,
+    ) -> Vec<Vec<(usize, SdfSample)>> {
+        self.links.iter().zip(poses).map(|(link, pose)| link.within(pose, object, limit_m)).collect()
+    }
+
+    /// The contacts among points that are near.
+    pub(crate) fn contacts_among(
+        &self,
+        poses: &[Pose],
+        near: &[Vec<(usize, SdfSample)>],
+        options: &ContactOptions,
+    ) -> Vec<Contact> {
         let mut contacts = Vec::new();
-        for (link, (surface, pose)) in self.links.iter().zip(&poses).enumerate() {
-            let touching = surface
-                .within(pose, object, options.max_gap_m)
-                .into_iter()
+        for (link, (surface, pose)) in self.links.iter().zip(poses).enumerate() {
+            let touching = near[link].iter().filter(|(_, s)| s.distance_m <= options.max_gap_m);
+            let touching = touching
                 .filter_map(|(i, s)| {
-                    Some((pose * surface.samples()[i].0, s.distance_m, s.gradient.try_normalize(1e-9)?))
+                    Some((pose * surface.samples()[*i].0, s.distance_m, s.gradient.try_normalize(1e-9)?))
                 })
                 .collect();
             for (point, distance, gradient) in patch(touching, options) {
@@ -107,7 +131,7 @@ impl HandSurface {
                 });
             }
         }
-        Ok(contacts)
+        contacts
     }
 }
 

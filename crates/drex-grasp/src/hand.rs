@@ -3,8 +3,9 @@
 use std::collections::BTreeMap;
 
 use drex_core::{Pose, SdfSample, SignedDistance};
-use drex_robot::{Finger, Robot};
+use drex_robot::{Finger, Robot, Shape};
 use nalgebra::{Point3, Vector3};
+use serde::{Deserialize, Serialize};
 
 use crate::{GraspError, Result};
 
@@ -20,6 +21,37 @@ pub struct HandSurface {
     pub finger_of_link: Vec<Option<usize>>,
     /// Distance between neighbouring points, metres.
     pub spacing_m: f64,
+    /// The closed shapes of the links that can be inside each other.
+    shapes: Vec<LinkShape>,
+}
+
+/// A collision shape of a link, and the links that can be inside it.
+#[derive(Debug, Clone)]
+struct LinkShape {
+    link: usize,
+    link_from_shape: Pose,
+    distance: ShapeDistance,
+    others: Vec<usize>,
+}
+
+/// The distance from a shape, in the shape's frame.
+#[derive(Debug, Clone)]
+struct ShapeDistance(Shape);
+
+impl SignedDistance for ShapeDistance {
+    /// Without a gradient, which nobody asks for here.
+    fn signed_distance(&self, point: &Point3<f64>) -> SdfSample {
+        SdfSample { distance_m: self.0.signed_distance(point), gradient: Vector3::zeros() }
+    }
+}
+
+/// Two links inside each other.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct SelfCollision {
+    /// Names of the links.
+    pub links: (String, String),
+    /// Depth, mm.
+    pub depth_mm: f64,
 }
 
 /// Points on one link, in patches with a ball around each, so that far patches are skipped whole.
@@ -62,6 +94,14 @@ impl HandSurface {
     /// # Errors
     /// If the spacing is not positive or the robot has no collision shape at all.
     pub fn new(robot: &Robot, spacing_m: f64) -> Result<Self> {
+        Self::with_fingers(robot, robot.fingers(), spacing_m)
+    }
+
+    /// The same with fingers that somebody else found, such as those that a mapping file names.
+    ///
+    /// # Errors
+    /// As [`HandSurface::new`].
+    pub fn with_fingers(robot: &Robot, fingers: Vec<Finger>, spacing_m: f64) -> Result<Self> {
         if !(spacing_m > 1e-5 && spacing_m.is_finite()) {
             return Err(GraspError::value(
                 format!("a sample spacing of {spacing_m} m"),
@@ -76,14 +116,20 @@ impl HandSurface {
                 robot.name
             )));
         }
-        let fingers = robot.fingers();
         let mut finger_of_link = vec![None; robot.links.len()];
         for (index, finger) in fingers.iter().enumerate() {
             for &link in &finger.links {
                 finger_of_link[link] = Some(index);
             }
         }
-        Ok(Self { links, fingers, finger_of_link, spacing_m })
+        let shape = |(link, geom): (usize, &drex_robot::Geom)| LinkShape {
+            link,
+            link_from_shape: geom.link_from_geom,
+            distance: ShapeDistance(geom.shape.clone()),
+            others: (0..robot.links.len()).filter(|&other| other != link && robot.may_collide(link, other)).collect(),
+        };
+        let shapes = robot.collision_geoms().filter(|(_, geom)| geom.shape.is_closed()).map(shape).collect();
+        Ok(Self { links, fingers, finger_of_link, spacing_m, shapes })
     }
 
     /// Index of the thumb among the fingers, if the model has one.
@@ -104,6 +150,23 @@ impl HandSurface {
         let each = self.links.iter().zip(link_poses);
         each.map(|(link, pose)| link.nearest(pose, object, exact_within_m).map_or(f64::NEG_INFINITY, |n| -n.1))
             .collect()
+    }
+
+    /// The deepest pair of links of `robot` inside each other at these poses; `None` if all are out of each other.
+    pub fn self_collision(&self, robot: &Robot, link_poses: &[Pose]) -> Option<SelfCollision> {
+        let mut deepest: Option<(usize, usize, f64)> = None;
+        for shape in &self.shapes {
+            let shape_from_frame = (link_poses[shape.link] * shape.link_from_shape).inverse();
+            for &other in &shape.others {
+                let limit_m = deepest.map_or(0.0, |d| d.2);
+                let shape_from_other = shape_from_frame * link_poses[other];
+                if let Some((_, distance_m)) = self.links[other].nearest(&shape_from_other, &shape.distance, limit_m) {
+                    deepest = Some((shape.link, other, distance_m));
+                }
+            }
+        }
+        let name = |link: usize| robot.links[link].name.clone();
+        deepest.map(|(a, b, distance_m)| SelfCollision { links: (name(a), name(b)), depth_mm: -1e3 * distance_m })
     }
 }
 

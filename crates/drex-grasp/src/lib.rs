@@ -21,7 +21,6 @@
 
 mod balance;
 mod ball;
-mod carry;
 mod closure;
 mod cone;
 mod contact;
@@ -41,7 +40,6 @@ mod problem;
 mod rolling;
 mod synthesis;
 
-pub use carry::{grip_force_per_weight, holds_any_load};
 pub use closure::{ClosureOptions, ForceClosure, force_closure, is_force_closed, min_weight};
 pub use contact::{Contact, characteristic_length_m, grasp_map};
 pub use distribute::{Distribution, distribute, maximum_grip_force};
@@ -51,7 +49,7 @@ pub use find::{ContactOptions, find_contacts};
 pub use grasp::{Grasp, GraspContact, GraspOrigin, OriginCounts};
 pub use grip_force::{GripForceError, GripForceSolution, minimum_grip_force, smallest_forces};
 pub use grip_force_policy::{ForceCommand, GripForcePolicy, PAPER_FORCE_LIMIT_N, paper_force};
-pub use hand::{HandSurface, LinkSurface};
+pub use hand::{HandSurface, LinkSurface, SelfCollision};
 pub use load_bound::{least_friction, least_friction_index};
 pub use loads::{required_grip_force, shake_loads};
 pub use pinch::pinch_grasps;

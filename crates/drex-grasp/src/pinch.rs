@@ -8,7 +8,6 @@ use rand::{Rng, RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rayon::prelude::*;
 
-use crate::power::FingerClosing;
 use crate::{ContactOptions, EvaluationOptions, Grasp, GraspError, GraspOrigin, HandSurface, Result};
 
 /// Points of the surface from which opposite ones are searched.
@@ -57,7 +56,7 @@ pub fn pinch_grasps(object: &Object, robot: &Robot, candidates: usize, seed: u64
         ));
     }
     let hand = HandSurface::new(robot, ContactOptions::default().spacing_m)?;
-    let (closing, limits) = (FingerClosing::new(robot)?, EvaluationOptions::of_synthesised(object));
+    let limits = EvaluationOptions::synthesised();
     let configurations = configurations(robot, &hand, seed)?;
     let pairs = pairs(&*object.geometry, &object.surface_points(SURFACE_POINTS, seed), object.friction, seed);
     let search = Search { robot, hand: &hand, object, limits: &limits };
@@ -71,8 +70,7 @@ pub fn pinch_grasps(object: &Object, robot: &Robot, candidates: usize, seed: u64
                 true => None,
                 false => search.candidate(&pairs[random.random_range(0..pairs.len())], &configurations, &mut random)?,
             };
-            let clear = grasp.filter(|g| closing.is_clear_of_itself(&g.joints_rad));
-            Ok(clear.map(|g| Grasp { origin: GraspOrigin::Pinch, source: i, ..g }))
+            Ok(grasp.map(|g| Grasp { origin: GraspOrigin::Pinch, source: i, ..g }))
         })
         .collect::<Result<_>>()?;
     Ok(found.into_iter().flatten().collect())

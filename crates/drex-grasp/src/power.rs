@@ -20,8 +20,6 @@ const CLOSING_STEPS_RAD: [f64; 3] = [0.2, 0.06, 0.015];
 const MAX_STEPS: usize = 14;
 /// A link may enter the object by this while it closes, metres.
 const MAX_CLOSING_PENETRATION_M: f64 = 0.0005;
-/// Deepest that links may be inside each other, metres.
-const MAX_SELF_PENETRATION_M: f64 = 0.001;
 /// Spacing of points on the hand while it closes, metres.
 const SPACING_M: f64 = 0.006;
 
@@ -72,7 +70,7 @@ struct Palm {
 /// If the hand has no collision shapes.
 pub fn power_grasps(object: &Object, robot: &Robot, tries: usize, seed: u64) -> Result<Vec<Grasp>> {
     let closing = FingerClosing::new(robot)?;
-    let limits = EvaluationOptions::of_synthesised(object);
+    let limits = EvaluationOptions::synthesised();
     let sites = object.surface_points(tries, seed);
     let found: Vec<Option<Grasp>> = sites
         .par_iter()
@@ -188,7 +186,7 @@ impl<'a> FingerClosing<'a> {
         let turn = Vector3::from_fn(|_, _| error(PERTURBATION_RAD));
         let pose = grasp.object_from_base * Pose::new(shift, turn);
         self.robot.clamp_to_limits(&mut q);
-        let limits = EvaluationOptions::of_synthesised(object);
+        let limits = EvaluationOptions::synthesised();
         if !self.open_fingers(object, &mut q, &pose) || self.lowest(object, &q, &pose) < limits.min_table_clearance_m {
             return Ok(None);
         }
@@ -205,8 +203,7 @@ impl<'a> FingerClosing<'a> {
         limits: &EvaluationOptions,
     ) -> Result<Option<Grasp>> {
         self.close(object, pose, &mut q);
-        let grasp = Grasp::new(self.robot, q, *pose).screened(&self.fine, object, self.robot, limits)?;
-        Ok(grasp.filter(|g| self.is_clear_of_itself(&g.joints_rad)))
+        Grasp::new(self.robot, q, *pose).screened(&self.fine, object, self.robot, limits)
     }
 
     /// Opens fingers that are inside the object; `false` if the palm is, or a finger stays.
@@ -283,25 +280,6 @@ impl<'a> FingerClosing<'a> {
             surface.nearest(&poses[*l], &*object.geometry, -MAX_CLOSING_PENETRATION_M).is_some()
         };
         links.iter().any(inside)
-    }
-
-    /// Whether the links are out of each other.
-    pub fn is_clear_of_itself(&self, q: &[f64]) -> bool {
-        let poses = self.robot.forward_kinematics(q, &Pose::identity());
-        let mut deepest: f64 = 0.0;
-        for (link, geom) in self.robot.collision_geoms() {
-            let geom_from_base = (poses[link] * geom.link_from_geom).inverse();
-            for (other, surface) in self.coarse.links.iter().enumerate() {
-                if other == link || !self.robot.may_collide(link, other) {
-                    continue;
-                }
-                let there = geom_from_base * poses[other];
-                for (point, _) in surface.samples() {
-                    deepest = deepest.max(-geom.shape.signed_distance(&(there * point)));
-                }
-            }
-        }
-        deepest <= MAX_SELF_PENETRATION_M
     }
 }
 

@@ -13,7 +13,7 @@ use drex_hw::Hand;
 use drex_hw::allegro::{AllegroHand, AllegroOptions, AllegroVersion};
 use drex_hw::can::Slcan;
 use drex_hw::control::{
-    ControlLoop, ControlOptions, EStop, Grasp, GraspPhase, GraspPlan, stop_on_signals, telemetry, write_csv,
+    ControlLoop, ControlOptions, EStop, GraspController, GraspPhase, GraspPlan, stop_on_signals, telemetry, write_csv,
 };
 use drex_hw::dynamixel::Timing;
 use drex_hw::emulator::allegro::AllegroEmulator;
@@ -94,7 +94,7 @@ fn grasp((hand, closing): Found, model: &str, planner: Planner, share: f64, log:
         let j = robot.require_joint(name)?;
         (closed[j], force[j]) = (CLOSED_RAD, share * hand.effort_caps()[j]);
     }
-    let grasp = Grasp::new(planner([open.clone(), open, closed], moving, force.clone()).with_hold_s(2.0));
+    let grasp = GraspController::new(planner([open.clone(), open, closed], moving, force.clone()).with_hold_s(2.0));
     let handle = grasp.handle();
 
     let (names, unit) = (hand.joints().to_vec(), hand.effort_unit());

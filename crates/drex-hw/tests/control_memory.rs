@@ -5,7 +5,7 @@ use std::ops::ControlFlow;
 
 use drex_hw::allegro::{AllegroHand, AllegroOptions, AllegroVersion};
 use drex_hw::control::{
-    ControlOptions, Controller, Grasp, GraspPlan, Joints, StopReason, Trajectory, Waypoint, run, telemetry,
+    ControlOptions, Controller, GraspController, GraspPlan, Joints, StopReason, Trajectory, Waypoint, run, telemetry,
 };
 use drex_hw::emulator::allegro::AllegroEmulator;
 use drex_hw::{Hand, HandCommand, HandState, Result};
@@ -78,7 +78,7 @@ fn cycles_of_a_grasp_cost_no_memory() {
             let robot = Robot::bundled("allegro_right").unwrap();
             closed[robot.require_joint("ffj1").unwrap()] = 0.6;
             let plan = GraspPlan::allegro([pose.clone(), pose, closed], vec![0.05; 16], vec![0.1; 16]);
-            Box::new(Grasp::new(plan.with_least_contacts(1).with_hold_s(hold_s)))
+            Box::new(GraspController::new(plan.with_least_contacts(1).with_hold_s(hold_s)))
         })
     };
     let ((few, some), (more, many)) = (grasp(0.1), grasp(5.0));

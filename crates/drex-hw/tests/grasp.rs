@@ -5,8 +5,8 @@ use std::sync::{Arc, Mutex};
 
 use drex_hw::allegro::{AllegroHand, AllegroOptions, AllegroVersion};
 use drex_hw::control::{
-    ControlOptions, Controller, EStop, Grasp, GraspPhase, GraspPlan, Joints, LoopReport, StopReason, Trajectory,
-    Waypoint, run,
+    ControlOptions, Controller, EStop, GraspController, GraspPhase, GraspPlan, Joints, LoopReport, StopReason,
+    Trajectory, Waypoint, run,
 };
 use drex_hw::emulator::allegro::{AllegroEmulator, EmulatorBus};
 use drex_hw::{Clock, Hand, HandCommand, HandState};
@@ -50,7 +50,7 @@ fn bench(version: AllegroVersion) -> Bench {
 }
 
 impl Bench {
-    fn grasp(&mut self, grasp: &mut Grasp, options: ControlOptions) -> LoopReport {
+    fn grasp(&mut self, grasp: &mut GraspController, options: ControlOptions) -> LoopReport {
         run(&mut self.hand, grasp, &self.emulator.clock(), options)
     }
 }
@@ -59,7 +59,7 @@ impl Bench {
 fn it_closes_feels_the_object_presses_with_the_force_and_lets_go() {
     for version in [AllegroVersion::V3, AllegroVersion::V4, AllegroVersion::V5] {
         let mut bench = bench(version);
-        let mut grasp = Grasp::new(bench.plan.clone());
+        let mut grasp = GraspController::new(bench.plan.clone());
         let handle = grasp.handle();
         // What the object feels in the last half of the hold and, in all phases, at most.
         let felt = Arc::new(Mutex::new((Vec::new(), 0.0_f64)));
@@ -114,7 +114,7 @@ fn it_closes_feels_the_object_presses_with_the_force_and_lets_go() {
 #[test]
 fn limits_rise_no_faster_than_they_may() {
     let mut bench = bench(AllegroVersion::V4);
-    let mut grasp = Grasp::new(bench.plan.clone());
+    let mut grasp = GraspController::new(bench.plan.clone());
     let seen = Arc::new(Mutex::new((vec![0.0; 16], 0.0_f64)));
     let look = seen.clone();
     let options = ControlOptions::default().with_limiter(move |_, limits| {
@@ -134,7 +134,7 @@ fn limits_rise_no_faster_than_they_may() {
 fn where_there_is_nothing_the_hand_does_not_press() {
     let mut bench = bench(AllegroVersion::V4);
     bench.closing.iter().for_each(|j| bench.emulator.set_wall(*j, f64::NEG_INFINITY, f64::INFINITY));
-    let mut grasp = Grasp::new(bench.plan.clone());
+    let mut grasp = GraspController::new(bench.plan.clone());
     let report = bench.grasp(&mut grasp, ControlOptions::default());
     assert!(matches!(report.stop_reason, StopReason::Done));
     let outcome = grasp.outcome();
@@ -143,10 +143,10 @@ fn where_there_is_nothing_the_hand_does_not_press() {
     // One finger alone is no grasp either.
     let mut bench = self::bench(AllegroVersion::V4);
     bench.closing[1..].iter().for_each(|j| bench.emulator.set_wall(*j, f64::NEG_INFINITY, f64::INFINITY));
-    let mut grasp = Grasp::new(bench.plan.clone());
+    let mut grasp = GraspController::new(bench.plan.clone());
     bench.grasp(&mut grasp, ControlOptions::default());
     assert!(grasp.outcome().missed && grasp.outcome().contacts.iter().flatten().count() == 1);
-    let mut grasp = Grasp::new(bench.plan.clone().with_least_contacts(1));
+    let mut grasp = GraspController::new(bench.plan.clone().with_least_contacts(1));
     bench.grasp(&mut grasp, ControlOptions::default());
     assert!(!grasp.outcome().missed && !grasp.outcome().lost);
 }
@@ -155,7 +155,7 @@ fn where_there_is_nothing_the_hand_does_not_press() {
 fn an_object_that_is_taken_away_opens_the_hand() {
     let mut bench = bench(AllegroVersion::V4);
     bench.plan.hold_s = None;
-    let mut grasp = Grasp::new(bench.plan.clone());
+    let mut grasp = GraspController::new(bench.plan.clone());
     let (handle, emulator, closing) = (grasp.handle(), bench.emulator.clone(), bench.closing.clone());
     let (mut cycles, estop) = (0, EStop::new());
     let button = estop.clone();
@@ -180,7 +180,7 @@ fn an_object_that_is_taken_away_opens_the_hand() {
 fn a_hold_ends_when_it_is_told_to() {
     let mut bench = bench(AllegroVersion::V5);
     bench.plan.hold_s = None;
-    let mut grasp = Grasp::new(bench.plan.clone());
+    let mut grasp = GraspController::new(bench.plan.clone());
     let (handle, watch) = (grasp.handle(), grasp.handle());
     let (mut cycles, estop) = (0, EStop::new());
     let button = estop.clone();
@@ -201,7 +201,7 @@ fn a_hold_ends_when_it_is_told_to() {
 #[test]
 fn the_emergency_stop_drops_what_is_held() {
     let mut bench = bench(AllegroVersion::V4);
-    let mut grasp = Grasp::new(bench.plan.clone());
+    let mut grasp = GraspController::new(bench.plan.clone());
     let estop = EStop::new();
     let (handle, button) = (grasp.handle(), estop.clone());
     let options = ControlOptions::default().with_estop(&estop).with_limiter(move |_, _| {
@@ -219,7 +219,7 @@ fn plans_that_mean_nothing_are_refused() {
     let refused = |change: fn(&mut GraspPlan)| {
         let mut bench = bench(AllegroVersion::V4);
         change(&mut bench.plan);
-        let report = bench.grasp(&mut Grasp::new(bench.plan.clone()), ControlOptions::default());
+        let report = bench.grasp(&mut GraspController::new(bench.plan.clone()), ControlOptions::default());
         assert!(!bench.emulator.is_on());
         matches!(report.stop_reason, StopReason::Failed(drex_hw::Error::Value { .. }))
     };
@@ -253,7 +253,7 @@ proptest! {
         let joints = Joints::of(&bench.hand);
         let mut state = HandState::new(16);
         state.age.fill(0);
-        let mut grasp = Grasp::new(bench.plan.clone());
+        let mut grasp = GraspController::new(bench.plan.clone());
         grasp.begin(&joints, &state).unwrap();
         let (mut time, mut command) = (0.0, HandCommand::new(16));
         let mut last: Option<HandCommand> = None;

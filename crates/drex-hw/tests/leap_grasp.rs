@@ -4,7 +4,7 @@
 use std::cell::Cell;
 use std::time::Duration;
 
-use drex_hw::control::{ControlOptions, Derating, Grasp, GraspPhase, GraspPlan, LoopReport, StopReason, run};
+use drex_hw::control::{ControlOptions, Derating, GraspController, GraspPhase, GraspPlan, LoopReport, StopReason, run};
 use drex_hw::dynamixel::Timing;
 use drex_hw::emulator::leap::{EmulatorPort, LeapEmulator};
 use drex_hw::leap::{LeapHand, LeapOptions, table};
@@ -67,7 +67,7 @@ fn bench() -> Bench {
 }
 
 impl Bench {
-    fn grasp(&mut self, grasp: &mut Grasp, options: ControlOptions) -> LoopReport {
+    fn grasp(&mut self, grasp: &mut GraspController, options: ControlOptions) -> LoopReport {
         run(&mut self.hand, grasp, &self.emulator, options)
     }
 }
@@ -75,7 +75,7 @@ impl Bench {
 #[test]
 fn the_current_that_holds_is_the_limit() {
     let mut bench = bench();
-    let mut grasp = Grasp::new(bench.plan.clone());
+    let mut grasp = GraspController::new(bench.plan.clone());
     let report = bench.grasp(&mut grasp, ControlOptions::default());
     assert!(matches!(report.stop_reason, StopReason::Done) && report.torque_off.is_ok(), "{:?}", report.stop_reason);
     let outcome = grasp.outcome();
@@ -98,7 +98,7 @@ fn a_hot_motor_holds_with_less() {
     let warm = Derating { from_c: 55.0, to_c: 65.0, ..Derating::default() };
     let allowed = warm.share(60.0) * cap;
     bench.plan.force_effort.iter_mut().filter(|f| **f > 200.0).for_each(|f| *f = 0.9 * cap);
-    let mut grasp = Grasp::new(bench.plan.clone());
+    let mut grasp = GraspController::new(bench.plan.clone());
     bench.grasp(&mut grasp, ControlOptions::default().with_derating(Some(warm)));
     let held = grasp.outcome().held_effort.iter().copied().fold(0.0, f64::max);
     assert!((held - allowed).abs() < 0.02 * allowed, "{held} of {allowed} mA");
@@ -108,7 +108,7 @@ fn a_hot_motor_holds_with_less() {
 fn a_plug_that_is_pulled_and_put_back_costs_a_moment() {
     for outage in [Duration::from_secs(1), Duration::ZERO] {
         let mut bench = bench();
-        let mut grasp = Grasp::new(bench.plan.clone());
+        let mut grasp = GraspController::new(bench.plan.clone());
         let (handle, emulator) = (grasp.handle(), bench.emulator.clone());
         let mut held = 0;
         let options = ControlOptions::default().with_outage(outage).with_limiter(move |_, _| {

@@ -147,6 +147,12 @@ impl SolidGeometry for GridSdf {
         &self.exact
     }
 
+    /// The distance of a point and those of the nodes around it differ by no more than how far the nodes are, which in the mean that the interpolation
+    /// takes is at most half the cell's diagonal; and the nodes are rounded.
+    fn error_m(&self) -> f64 {
+        0.5 * 3.0_f64.sqrt() * self.spacing + 1e-6
+    }
+
     fn bounding_box(&self) -> (Point3<f64>, Point3<f64>) {
         self.bounds()
     }
@@ -170,6 +176,23 @@ impl Surface for GridSdf {
 mod tests {
     use super::*;
     use crate::shapes::sphere;
+
+    #[test]
+    fn no_distance_is_farther_off_than_it_says() {
+        // A coarse grid, and points near the middle of its cells, where it is worst.
+        let exact = MeshSdf::new(&sphere(0.05, 2)).unwrap();
+        let grid =
+            GridSdf::with_options(exact.clone(), &GridOptions { nodes: 12 * 12 * 12, margin_m: Some(0.03) }).unwrap();
+        let worst = (0..4000)
+            .map(|i| {
+                Point3::from(Vector3::from_fn(|k, _| {
+                    0.16 * ((i + 1) as f64 * [0.8192, 0.6710, 0.5497][k]).fract() - 0.08
+                }))
+            })
+            .map(|p| (grid.signed_distance(&p).distance_m - exact.signed_distance(&p).distance_m).abs())
+            .fold(0.0, f64::max);
+        assert!(worst <= grid.error_m() && worst > 0.05 * grid.error_m(), "{worst} of {}", grid.error_m());
+    }
 
     #[test]
     fn the_grid_follows_the_exact_distance() {

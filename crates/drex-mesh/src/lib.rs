@@ -56,7 +56,7 @@ mod weld;
 pub use asset::{
     ArticulatedAsset, ArticulatedReport, Asset, AssetOptions, AssetReport, Background, ContactConfig, JointConfig,
     JointKind, LengthUnit, Part, PartConfig, SceneOptions, TextureMap, UpSource, articulated_asset, asset_from_mesh,
-    build_asset, joint_tree, metric_mesh, read_object, rebuild_asset,
+    build_asset, joint_tree, metric_mesh, read_object, rebuild_asset, solid_object,
 };
 pub use check::{
     CheckOptions, CheckReport, Outcome, RuleResult, ScanCamera, ScanEvidence, Silhouette, SupportEvidence, check_asset,

@@ -121,32 +121,33 @@ impl<'a> Mode<'a> {
     }
 
     /// Adds `weight` times the derivative of the sum of [`gaps`](Self::gaps).
-    fn pull(&self, joints: &[f64], wrist: &[f64; 9], weight: f64, slopes: &mut [f32]) {
+    fn pull(&self, joints: &[f64], wrist: &[f64; 9], weight: f64, derivatives: &mut [f32]) {
         for (j, q) in joints.iter().enumerate() {
             let (angle, slope) = self.joint(j);
-            slopes[j] += (weight * 2.0 * (angle - q) * slope / joints.len() as f64) as f32;
+            derivatives[j] += (weight * 2.0 * (angle - q) * slope / joints.len() as f64) as f32;
         }
         for (i, w) in wrist.iter().enumerate() {
             let scale = if i < 3 { 1.0 } else { COLUMNS };
-            slopes[self.layout.wrist() + i] += (weight * scale * 2.0 * (self.at(self.layout.wrist() + i) - w)) as f32;
+            derivatives[self.layout.wrist() + i] +=
+                (weight * scale * 2.0 * (self.at(self.layout.wrist() + i) - w)) as f32;
         }
     }
 
-    /// z² in parts (one per spread) of this mode's joints and wrist from given ones; `slopes` gets dz²/d(output) of joints and wrist.
+    /// z² in parts (one per spread) of this mode's joints and wrist from given ones; `derivatives` gets dz²/d(output) of joints and wrist.
     pub fn distance(
         &self,
         joints: &[f64],
         wrist: &[f64; 9],
         inverse: &[f64],
         parts: &mut [f64],
-        slopes: &mut [f64],
+        derivatives: &mut [f64],
     ) -> f64 {
         let count = self.layout.joints;
         for j in 0..count {
             let (angle, slope) = self.joint(j);
             let z = (angle - joints[j]) * inverse[j];
             parts[j] = z * z;
-            slopes[j] = 2.0 * z * inverse[j] * slope;
+            derivatives[j] = 2.0 * z * inverse[j] * slope;
         }
         (parts[count], parts[count + 1]) = (0.0, 0.0);
         for (i, wanted) in wrist.iter().enumerate() {
@@ -154,7 +155,7 @@ impl<'a> Mode<'a> {
             let weight = scale * inverse[part] * inverse[part];
             let gap = self.at(self.layout.wrist() + i) - wanted;
             parts[part] += weight * gap * gap;
-            slopes[count + i] = 2.0 * weight * gap;
+            derivatives[count + i] = 2.0 * weight * gap;
         }
         parts.iter().sum()
     }
@@ -209,15 +210,15 @@ pub(crate) fn demo_loss(
     };
     let mut spread_slope = vec![0.0; log_spread.len()];
     let mut z_parts = vec![0.0; modes * layout.spreads()];
-    let mut slopes = vec![0.0; modes * (joints + 9)];
+    let mut derivatives = vec![0.0; modes * (joints + 9)];
     for (row, target) in targets.iter().enumerate() {
         let out = &outputs[row * modes * width..(row + 1) * modes * width];
         let gradient = &mut found.outputs[row * modes * width..(row + 1) * modes * width];
         let decoded: Vec<Mode<'_>> = out.chunks_exact(width).map(|o| Mode::new(layout, scales, o)).collect();
         let z2: Vec<f64> = decoded
             .iter()
-            .zip(z_parts.chunks_exact_mut(layout.spreads()).zip(slopes.chunks_exact_mut(joints + 9)))
-            .map(|(m, (parts, slopes))| m.distance(&target.joints, &target.wrist, &inverse, parts, slopes))
+            .zip(z_parts.chunks_exact_mut(layout.spreads()).zip(derivatives.chunks_exact_mut(joints + 9)))
+            .map(|(m, (parts, derivatives))| m.distance(&target.joints, &target.wrist, &inverse, parts, derivatives))
             .collect();
         let log_p: Vec<f64> = z2.iter().map(|&z| log_student(z, log_spreads, count)).collect();
         let log_z = log_sum_exp(decoded.iter().map(Mode::logit));
@@ -241,7 +242,7 @@ pub(crate) fn demo_loss(
             // d(−ln p_k)/dz².
             let pull = scale * share * (TAIL + count as f64) / (2.0 * (TAIL + z2[k]));
             let gradient = &mut gradient[k * width..(k + 1) * width];
-            for (g, slope) in gradient.iter_mut().zip(&slopes[k * (joints + 9)..(k + 1) * (joints + 9)]) {
+            for (g, slope) in gradient.iter_mut().zip(&derivatives[k * (joints + 9)..(k + 1) * (joints + 9)]) {
                 *g += (pull * slope) as f32;
             }
             for (i, z) in z_parts[k * layout.spreads()..(k + 1) * layout.spreads()].iter().enumerate() {

@@ -19,7 +19,7 @@ pub(crate) fn outputs(weights: &Weights, encoded: &[f32], scalars: &[f32]) -> Re
 }
 
 /// What a loss says of the outputs.
-pub(crate) struct Slopes {
+pub(crate) struct Derivatives {
     /// Derivatives with respect to the outputs.
     pub outputs: Vec<f32>,
     /// Derivatives with respect to the logarithms of the spreads.
@@ -34,18 +34,18 @@ pub(crate) fn gradients<T>(
     weights: &Weights,
     encoded: &[f32],
     scalars: &[f32],
-    loss: impl FnOnce(&[f32]) -> (T, Slopes),
+    loss: impl FnOnce(&[f32]) -> (T, Derivatives),
 ) -> Result<(T, Vec<Vec<f32>>)> {
     let device = device()?.autodiff();
     let parameters: Vec<Tensor<2>> = load(weights, &device).into_iter().map(Tensor::require_grad).collect();
     let outputs = forward(&weights.layout, &parameters, encoded, scalars, &device);
-    let (result, slopes) = loss(&values(outputs.clone().detach())?);
-    let total = (outputs.clone() * tensor(slopes.outputs, outputs.dims(), &device)).sum();
+    let (result, derivatives) = loss(&values(outputs.clone().detach())?);
+    let total = (outputs.clone() * tensor(derivatives.outputs, outputs.dims(), &device)).sum();
     let mut gradients = total.backward();
     let mut found = Vec::new();
     for (i, p) in parameters.iter().enumerate() {
         found.push(match p.grad_remove(&mut gradients) {
-            _ if i == LOG_SPREAD => slopes.log_spread.clone(),
+            _ if i == LOG_SPREAD => derivatives.log_spread.clone(),
             Some(gradient) => values(gradient)?,
             None => return Err(Error::Backend { what: "a weight has no gradient".into() }),
         });
@@ -142,8 +142,8 @@ mod tests {
         // The loss is a fixed sum of the outputs: its derivative with respect to a weight is that of the network.
         let slope = wave(2 * 3 * LAYOUT.mode_width(), 1.9);
         let loss = |outputs: &[f32]| {
-            let slopes = Slopes { outputs: slope.clone(), log_spread: vec![0.5; 4] };
-            (outputs.to_vec(), slopes)
+            let derivatives = Derivatives { outputs: slope.clone(), log_spread: vec![0.5; 4] };
+            (outputs.to_vec(), derivatives)
         };
         let (outputs, gradients) = gradients(&weights, &encoded, &scalars, loss).unwrap();
         let mut w: Vec<Vec<f64>> = weights.arrays.iter().map(|a| a.iter().map(|v| f64::from(*v)).collect()).collect();

@@ -4,6 +4,7 @@ use nalgebra::{Isometry3, Point3, Rotation3, Translation3, Unit, UnitQuaternion,
 
 use crate::cloud::{box_centre, encode, farthest_points};
 use drex_core::Pose;
+use drex_core::pose::upright;
 
 /// The points of an object, turned so that up is z.
 #[derive(Debug, Clone)]
@@ -27,9 +28,7 @@ pub(crate) struct Frame {
 impl View {
     /// `count` of the points, farthest from each other, enter the network.
     pub fn new(points: &[Point3<f64>], up: Unit<Vector3<f64>>, count: usize) -> Self {
-        // Opposite to z every horizontal axis turns up into z: x is as good as any.
-        let upright = UnitQuaternion::rotation_between_axis(&up, &Vector3::z_axis())
-            .unwrap_or_else(|| UnitQuaternion::from_axis_angle(&Vector3::x_axis(), std::f64::consts::PI));
+        let upright = upright(&up);
         let points: Vec<_> = points.iter().map(|p| upright * p).collect();
         let cloud = farthest_points(&points, &box_centre(&points), count);
         Self { upright, points, cloud }

@@ -17,7 +17,7 @@ use crate::picture::plot::{COLORS, Plot, Series};
 use crate::picture::raster::{Part, View, clearest_azimuth, render_png};
 use drex_core::stats::median;
 use drex_twin::Twin;
-use drex_twin::records::{FilmFrame, RolloutRecord, TrialFile};
+use drex_twin::records::{RecordedFrame, RolloutRecord, TrialFile};
 
 /// Faces of the object in the film.
 const OBJECT_FACES: usize = 4000;
@@ -69,7 +69,7 @@ pub fn section(page: &mut Page, twin: &Twin, asset: &Asset, trial: &TrialFile) -
         trial.friction[0],
         trial.friction[1]
     ));
-    if trial.film.len() > 1 {
+    if trial.recording.len() > 1 {
         film(page, twin, asset, trial)?;
     } else {
         page.paragraph("No rollout could be carried out, so there is nothing to show of it.");
@@ -147,13 +147,13 @@ fn film(page: &mut Page, twin: &Twin, asset: &Asset, trial: &TrialFile) -> Resul
     let hand = twin.manifest.grasps.as_ref().map_or(trial.hand.as_str(), |g| g.hand.as_str());
     let robot = Robot::resolve(hand, &twin.root)?;
     let shapes = HandShapes::new(&robot);
-    let mut links = Vec::with_capacity(trial.film.len());
-    let mut object = Vec::with_capacity(trial.film.len());
-    for frame in &trial.film {
+    let mut links = Vec::with_capacity(trial.recording.len());
+    let mut object = Vec::with_capacity(trial.recording.len());
+    for frame in &trial.recording {
         links.push(robot.forward_kinematics(&frame.joints_rad, &frame.world_from_base.to_pose()?));
         object.push(frame.world_from_object.to_pose()?);
     }
-    let times: Vec<f64> = trial.film.iter().map(|f| f.time_s).collect();
+    let times: Vec<f64> = trial.recording.iter().map(|f| f.time_s).collect();
     let parts_at = |i: usize| -> Vec<Part<'_>> {
         let mut parts = shapes.parts(&links[i]);
         parts.push(Part { mesh: &asset.visual, world_from_mesh: object[i], color: OBJECT_COLOR, texture: None });
@@ -204,7 +204,7 @@ fn film(page: &mut Page, twin: &Twin, asset: &Asset, trial: &TrialFile) -> Resul
         None => "a rollout".to_owned(),
     };
     let viewer = page.viewers(&[(scene, picture(lifted)?, caption)]);
-    page.plots_of(&viewer, &[forces(&robot, &trial.film, &times)]);
+    page.plots_of(&viewer, &[forces(&robot, &trial.recording, &times)]);
     let shaken = frame_at(0.5 * (shake + times[last]));
     let mut stills: Vec<(usize, &str)> =
         vec![(0, "approach"), (frame_at(lift), "closed and gripping"), (lifted, "lifted"), (shaken, "shaken")];
@@ -218,7 +218,7 @@ fn film(page: &mut Page, twin: &Twin, asset: &Asset, trial: &TrialFile) -> Resul
 }
 
 /// Normal force of each finger over the film.
-fn forces(robot: &Robot, film: &[FilmFrame], times: &[f64]) -> String {
+fn forces(robot: &Robot, film: &[RecordedFrame], times: &[f64]) -> String {
     let names: Vec<String> = robot.fingers().into_iter().map(|f| f.name).collect();
     let count = film.iter().map(|f| f.finger_n.len()).max().unwrap_or(0);
     let of = |finger: usize| film.iter().map(|f| f.finger_n.get(finger).copied().unwrap_or(f64::NAN)).collect();

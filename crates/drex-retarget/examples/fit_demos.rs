@@ -8,16 +8,15 @@
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
-use std::sync::Arc;
 use std::time::Instant;
 
 use drex_core::{Object, Pose, TablePlane, TriMesh};
-use drex_grasp::{EvaluationOptions, Grasp, HandSurface, evaluate_with};
-use drex_mesh::{GridOptions, GridSdf, MeshSdf, RepairOptions, read_mesh, repair, solid_properties};
+use drex_grasp::{EvaluationOptions, HandSurface, evaluate_with};
+use drex_mesh::{GridOptions, RepairOptions, read_mesh, repair, solid_object};
 use drex_recording::readers::read_grasps;
-use drex_retarget::{ObjectSurface, Verdict, WristFit, WristFitOptions, fit_wrists};
+use drex_retarget::{WristFit, WristFitOptions, fit_wrists};
 use drex_robot::{Robot, Shape, joint_order};
-use nalgebra::{Point3, Translation3, UnitQuaternion, Vector3};
+use nalgebra::{Point3, Vector3};
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
     let args: Vec<String> = std::env::args().skip(1).collect();
@@ -34,13 +33,11 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
 
     let clock = Instant::now();
     let (mesh, _) = repair(&read_mesh(&mesh_path)?, &RepairOptions::default())?;
-    let body = solid_properties(&mesh)?.properties.with_mass(mass_kg);
-    let exact = MeshSdf::new(&mesh)?;
     let bounds = mesh.bounds().ok_or("the mesh is empty")?;
+    let table = TablePlane::under(&mesh.vertices, Vector3::new(up[0], up[1], up[2])).ok_or("no up direction")?;
     let mut grid = GridOptions::default();
     grid.margin_m = Some(0.1);
-    let search = GridSdf::with_options(exact.clone(), &grid)?;
-    let table = TablePlane::under(&mesh.vertices, Vector3::new(up[0], up[1], up[2])).ok_or("no up direction")?;
+    let object = solid_object("object", &mesh, &grid)?.with_table(&table).with_mass(mass_kg);
     println!(
         "object ready in {:.1} s, extents {:?} m",
         clock.elapsed().as_secs_f64(),
@@ -55,21 +52,16 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     if let Some(first) = option("--first") {
         rows.truncate(first.parse()?);
     }
-    let object = ObjectSurface { search: &search, exact: &exact, bounds, center_of_mass: body.center_of_mass };
     let mut options = WristFitOptions::default();
     if let Some(starts) = option("--starts") {
         options.initial_guesses = starts.parse()?;
     }
     let clock = Instant::now();
-    let fits = fit_wrists(&robot, &rows, &object, &table, &options)?;
+    let fits = fit_wrists(&robot, &rows, &object, &options)?;
     let seconds = clock.elapsed().as_secs_f64();
     println!("{} grasps in {seconds:.1} s, {:.0} ms each", fits.len(), 1e3 * seconds / fits.len() as f64);
     spread("recorded distance of thumb tip and furthest fingertip, mm", rows.iter().map(|q| opening_mm(&robot, q)));
-    let mut solid = Object::of_parts(Vec::new(), body);
-    solid.geometry = Arc::new(exact.clone());
-    let level = UnitQuaternion::rotation_between(&table.up, &Vector3::z()).ok_or("the object is upside down")?;
-    let solid = solid.with_rest_pose(Pose::from_parts(Translation3::new(0.0, 0.0, -table.height_m), level));
-    report(&robot, &fits, &solid)?;
+    report(&robot, &fits, &object)?;
     if let Some(out) = option("--out") {
         write(Path::new(&out), &robot, &mesh, &fits)?;
     }
@@ -77,10 +69,10 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
 }
 
 fn report(robot: &Robot, fits: &[WristFit], object: &Object) -> Result<(), Box<dyn std::error::Error>> {
-    let accepted: Vec<&WristFit> = fits.iter().filter(|f| f.verdict.is_accepted()).collect();
-    let held = accepted.iter().filter(|f| f.grip_force_per_weight.is_some()).count();
+    let accepted: Vec<&WristFit> = fits.iter().filter(|f| f.evaluation.passed).collect();
+    let held = accepted.iter().filter(|f| f.grasp.grip_force_n.is_some()).count();
     let clipped = fits.iter().filter(|f| f.clipped_rad.iter().any(|c| *c != 0.0)).count();
-    let closed = accepted.iter().filter(|f| f.force_closure).count();
+    let closed = accepted.iter().filter(|f| f.evaluation.force_closure).count();
     println!(
         "{} of {} survive, {held} of them carry the object, {closed} are in force closure; {clipped} were outside joint limits",
         accepted.len(),
@@ -88,30 +80,29 @@ fn report(robot: &Robot, fits: &[WristFit], object: &Object) -> Result<(), Box<d
     );
     let mut reasons: BTreeMap<String, usize> = BTreeMap::new();
     for fit in fits {
-        if let Verdict::Rejected(list) = &fit.verdict {
-            *reasons.entry(list.iter().map(|r| r.kind()).collect::<Vec<_>>().join(" + ")).or_default() += 1;
+        for failure in &fit.evaluation.failures {
+            *reasons.entry(kind(failure)).or_default() += 1;
         }
     }
     println!("reasons: {reasons:?}");
-    spread("penetration of all, mm", fits.iter().map(|f| f.penetration_mm));
+    spread("penetration of all, mm", fits.iter().map(|f| f.evaluation.penetration_mm));
     spread("largest correction of survivors, rad", accepted.iter().map(|f| f.largest_correction_rad()));
     spread(
         "touching fingers of survivors",
-        accepted.iter().map(|f| f.fingers.iter().filter(|g| g.touches).count() as f64),
+        accepted.iter().map(|f| f.evaluation.fingers.iter().filter(|g| g.touches).count() as f64),
     );
     spread("pushed out of the hand", accepted.iter().map(|f| f.pushed_out));
-    let good =
-        accepted.iter().filter(|f| f.pushed_out < 0.1 && f.grip_force_per_weight.is_some_and(|s| s < 4.0)).count();
+    let per_weight = |f: &WristFit| f.grasp.grip_force_n.map(|n| n / object.weight_n());
+    let good = accepted.iter().filter(|f| f.pushed_out < 0.1 && per_weight(f).is_some_and(|s| s < 4.0)).count();
     println!("{good} survivors have the object between the fingers and carry it with less than four times its weight");
-    spread("grip force per weight", accepted.iter().filter_map(|f| f.grip_force_per_weight));
+    spread("grip force per weight", accepted.iter().filter_map(|f| per_weight(f)));
 
     let surface = HandSurface::new(robot, 0.003)?;
-    let mut options = EvaluationOptions::of(object);
+    let mut options = EvaluationOptions::default();
     options.gamma = 1.5;
     let mut checks = Vec::new();
     for fit in &accepted {
-        let grasp = Grasp::new(robot, fit.joints.clone(), fit.object_from_base);
-        checks.push(evaluate_with(&surface, &grasp, object, robot, &options)?);
+        checks.push(evaluate_with(&surface, &fit.grasp, object, robot, &options)?);
     }
     println!(
         "evaluation (gamma 1.5, motors, mu 0.5): {} of {} pass",
@@ -120,8 +111,7 @@ fn report(robot: &Robot, fits: &[WristFit], object: &Object) -> Result<(), Box<d
     );
     let mut failures: BTreeMap<String, usize> = BTreeMap::new();
     for failure in checks.iter().flat_map(|c| &c.failures) {
-        let kind: String = failure.chars().filter(|c| !c.is_ascii_digit()).take(48).collect();
-        *failures.entry(kind).or_default() += 1;
+        *failures.entry(kind(failure)).or_default() += 1;
     }
     println!("failures: {failures:#?}");
     spread("grip force, N", checks.iter().filter_map(|c| c.grip_force_n));
@@ -129,6 +119,11 @@ fn report(robot: &Robot, fits: &[WristFit], object: &Object) -> Result<(), Box<d
     spread("torque margin", checks.iter().filter_map(|c| c.torque_margin));
     spread("epsilon", checks.iter().filter_map(|c| c.epsilon));
     Ok(())
+}
+
+/// The beginning of a sentence without its numbers, for counting.
+fn kind(failure: &str) -> String {
+    failure.chars().filter(|c| !c.is_ascii_digit()).take(48).collect()
 }
 
 /// Largest distance between the tip of the thumb and that of a finger.
@@ -161,13 +156,13 @@ fn write(out: &Path, robot: &Robot, mesh: &TriMesh, fits: &[WristFit]) -> Result
     std::fs::create_dir_all(out)?;
     let mut list = Vec::new();
     for (i, fit) in fits.iter().enumerate() {
-        let (position, wxyz) = drex_core::pose::to_wxyz(&fit.object_from_base);
         list.push(serde_json::json!({
-            "grasp": i, "joints": fit.joints, "position": position, "wxyz": wxyz, "fingers": fit.fingers,
-            "penetration_mm": fit.penetration_mm, "table_clearance_mm": fit.table_clearance_mm,
-            "squeeze_per_weight": fit.grip_force_per_weight, "pushed_out": fit.pushed_out, "correction_rad": fit.correction_rad, "verdict": fit.verdict,
+            "grasp": i, "hand": fit.grasp, "evaluation": fit.evaluation, "pushed_out": fit.pushed_out, "correction_rad": fit.correction_rad,
         }));
-        std::fs::write(out.join(format!("hand_{i:03}.obj")), hand_obj(robot, &fit.joints, &fit.object_from_base))?;
+        std::fs::write(
+            out.join(format!("hand_{i:03}.obj")),
+            hand_obj(robot, &fit.grasp.joints_rad, &fit.grasp.object_from_base),
+        )?;
     }
     std::fs::write(out.join("fits.json"), serde_json::to_string_pretty(&list)?)?;
     let mut text = String::new();

@@ -12,7 +12,6 @@ use std::time::Instant;
 
 use drex_demo::{Demonstration, LoadOptions};
 use drex_retarget::{AugmentOptions, GraspOptions, TargetHand, augment, retarget_grasp};
-use object::Object;
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
     let args: Vec<String> = std::env::args().skip(1).collect();
@@ -20,11 +19,11 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let demo = Demonstration::load(demo?, &LoadOptions::default())?;
     let target = TargetHand::bundled(args.get(2).map_or("leap_right", String::as_str))?;
     let count: usize = args.get(3).map_or(Ok(1000), |c| c.parse())?;
-    let object = Object::load(mesh?, args.iter().any(|a| a == "--hull"))?;
-    let clip = retarget_grasp(&demo, &target, &object.surface(), &GraspOptions::default())?;
-    let sources = clip.frames.iter().filter(|f| f.is_accepted() && f.force_closure).count();
+    let object = object::load(mesh?, args.iter().any(|a| a == "--hull"))?;
+    let clip = retarget_grasp(&demo, &target, &object, &GraspOptions::default())?;
+    let sources = clip.frames.iter().filter(|f| f.is_accepted() && f.evaluation.force_closure).count();
     let clock = Instant::now();
-    let many = augment(&clip, &target, &object.surface(), &AugmentOptions::default(), count)?;
+    let many = augment(&clip, &target, &object, &AugmentOptions::default(), count)?;
     let seconds = clock.elapsed().as_secs_f64();
     println!(
         "{} grasps from {sources} frames and {} symmetries: {} attempts, {:.0} % kept the rules, {seconds:.1} s, {:.0} per second",

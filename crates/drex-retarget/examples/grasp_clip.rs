@@ -11,8 +11,7 @@ mod object;
 use std::path::Path;
 
 use drex_demo::{Demonstration, LoadOptions};
-use drex_retarget::{FingerContact, GraspFrame, GraspOptions, TargetHand, Verdict, retarget_grasp};
-use object::Object;
+use drex_retarget::{FingerContact, GraspFrame, GraspOptions, TargetHand, retarget_grasp};
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
     // Everything on this thread, so that its processor time is all there is.
@@ -21,10 +20,10 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let [demo, mesh] = [0, 1].map(|i| args.get(i).map(Path::new).ok_or("give DEMO and MESH"));
     let demo = Demonstration::load(demo?, &LoadOptions::default())?;
     let target = TargetHand::bundled(args.get(2).map_or("leap_right", String::as_str))?;
-    let object = Object::load(mesh?, args.iter().any(|a| a == "--hull"))?;
+    let object = object::load(mesh?, args.iter().any(|a| a == "--hull"))?;
 
     let before = cpu_ms();
-    let clip = retarget_grasp(&demo, &target, &object.surface(), &GraspOptions::default())?;
+    let clip = retarget_grasp(&demo, &target, &object, &GraspOptions::default())?;
     let ms = (cpu_ms() - before) / clip.frames.len() as f64;
 
     let mut ranges = Vec::new();
@@ -55,22 +54,20 @@ fn print(i: usize, f: &GraspFrame) {
     let finger =
         |c: &FingerContact| format!("{}{:6.1}/{:5.1}", if c.takes_part { '*' } else { ' ' }, c.gap_mm, c.tip_gap_mm);
     let fingers: Vec<String> = f.fingers.iter().map(finger).collect();
-    let hit = f.self_collision.as_ref().map_or("-".into(), |c| format!("{:.1} mm {:?}", c.depth_mm, c.links));
+    let hit =
+        f.evaluation.self_collision.as_ref().map_or("-".into(), |c| format!("{:.1} mm {:?}", c.depth_mm, c.links));
     let grip_force = f.grip_force_per_weight.map_or("-".into(), |s| format!("{s:.1}"));
-    let why = match &f.verdict {
-        Verdict::Accepted => String::new(),
-        Verdict::Rejected(reasons) => reasons.iter().map(|r| r.kind()).collect::<Vec<_>>().join(", "),
-    };
+    let why = f.reasons.join(", ");
     println!(
         "{i:4} {} {} deep {:4.2} mm self {hit} joints {:.2} rad wrist {:3.0} mm {:.2} rad speed {:.1} closure {} grip force {grip_force} {why}",
         u8::from(f.held),
         fingers.join(" "),
-        f.penetration_mm,
+        f.evaluation.penetration_mm,
         f.mean_joint_distance_rad,
         f.wrist_shift_mm,
         f.wrist_turn_rad,
         f.joint_speed_rad_s,
-        u8::from(f.force_closure),
+        u8::from(f.evaluation.force_closure),
     );
 }
 
@@ -90,14 +87,14 @@ fn summary(used: &[&GraspFrame]) {
     );
     println!(
         "deepest {:.2} mm; self-collision in {:.0} %; joints {:.3} rad from the vector result; wrist moved {:.0} mm (most {:.0}), {:.2} rad; fastest joint {:.2} rad/s; force closure {:.0} %",
-        most(used.iter().copied(), |f| f.penetration_mm),
-        share(&|f| f.self_collision.is_some()),
+        most(used.iter().copied(), |f| f.evaluation.penetration_mm),
+        share(&|f| f.evaluation.self_collision.is_some()),
         mean(&|f| f.mean_joint_distance_rad),
         mean(&|f| f.wrist_shift_mm),
         most(used.iter().copied(), |f| f.wrist_shift_mm),
         mean(&|f| f.wrist_turn_rad),
         most(used.iter().copied(), |f| f.joint_speed_rad_s),
-        share(&|f| f.force_closure),
+        share(&|f| f.evaluation.force_closure),
     );
 }
 

@@ -2,9 +2,10 @@
 
 mod symmetry;
 
-use std::sync::Arc;
+use std::f64::consts::TAU;
 
-use drex_core::Pose;
+use drex_core::stats::normal_pair;
+use drex_core::{Object, Pose};
 use nalgebra::{Translation3, UnitQuaternion, Vector3};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -12,7 +13,7 @@ use rayon::prelude::*;
 
 use crate::grasp::{FrameContext, GraspHand, GraspOptions, GraspRetargeting, evaluate, single};
 use crate::levenberg_marquardt::HandState;
-use crate::{Error, GraspFrame, ObjectSurface, Result, TargetHand};
+use crate::{Error, GraspFrame, Result, TargetHand};
 pub use symmetry::symmetries;
 
 /// Options of [`augment`].
@@ -59,8 +60,6 @@ impl Default for AugmentOptions {
 #[derive(Debug, Clone, PartialEq)]
 #[non_exhaustive]
 pub struct AugmentedGrasp {
-    /// Name of the hand's model.
-    pub hand: Arc<str>,
     /// The grasp, measured; its joint distance and wrist shift are those to the frame that it came from.
     pub grasp: GraspFrame,
     /// Index of the frame of the sequence that it came from.
@@ -100,13 +99,15 @@ const BATCH: usize = 64;
 pub fn augment(
     sequence: &GraspRetargeting,
     target: &TargetHand,
-    object: &ObjectSurface<'_>,
+    object: &Object,
     options: &AugmentOptions,
     count: usize,
 ) -> Result<Augmentation> {
     check(options)?;
     let sources: Vec<usize> = (0..sequence.frames.len())
-        .filter(|&i| sequence.frames[i].is_accepted() && (sequence.frames[i].force_closure || !options.force_closure))
+        .filter(|&i| {
+            sequence.frames[i].is_accepted() && (sequence.frames[i].evaluation.force_closure || !options.force_closure)
+        })
         .collect();
     if sources.is_empty() {
         return Err(Error::value(
@@ -114,9 +115,8 @@ pub fn augment(
             "look at the verdicts of its frames, or loosen the limits",
         ));
     }
-    let hand = GraspHand::new(target, options.grasp.friction, options.grasp.force_gap_m)?;
+    let hand = GraspHand::new(target)?;
     let symmetries = symmetries(object, options.symmetry_tolerance_m);
-    let name: Arc<str> = target.robot.name.as_str().into();
     let mut out = Augmentation { grasps: Vec::new(), symmetries, attempts: 0, accepted: 0 };
     let most = count.saturating_mul(options.attempts_per_grasp);
     while out.grasps.len() < count && out.attempts < most {
@@ -130,7 +130,6 @@ pub fn augment(
                 perturb(&hand, object, &sequence.frames[source], out.symmetries[symmetry], options, attempt).map(
                     |found| {
                         found.map(|(grasp, (noise_shift_mm, noise_turn_rad))| AugmentedGrasp {
-                            hand: name.clone(),
                             grasp,
                             source_frame: source,
                             symmetry,
@@ -155,7 +154,7 @@ pub fn augment(
 /// One attempt.
 fn perturb(
     hand: &GraspHand<'_>,
-    object: &ObjectSurface<'_>,
+    object: &Object,
     source: &GraspFrame,
     symmetry: UnitQuaternion<f64>,
     options: &AugmentOptions,
@@ -163,14 +162,13 @@ fn perturb(
 ) -> Result<Option<(GraspFrame, (f64, f64))>> {
     let mut rng = ChaCha8Rng::seed_from_u64(options.seed);
     rng.set_stream(attempt as u64);
-    let mut normal = || {
-        // Box and Muller.
-        let (u, v): (f64, f64) = (rng.random(), rng.random());
-        (-2.0 * (1.0 - u).ln()).sqrt() * (std::f64::consts::TAU * v).cos()
-    };
-    let center = object.center_of_mass.coords;
+    let mut normal = || normal_pair(rng.random(), TAU * rng.random::<f64>())[0];
+    let center = object.center_of_mass().coords;
     let about = |turn: UnitQuaternion<f64>| Pose::from_parts(Translation3::from(center - turn * center), turn);
-    let turned = HandState { object_from_base: about(symmetry) * source.object_from_base, q: source.q.clone() };
+    let turned = HandState {
+        object_from_base: about(symmetry) * source.grasp.object_from_base,
+        q: source.grasp.joints_rad.clone(),
+    };
     let shift = Vector3::from_fn(|_, _| normal()) * options.shift_m;
     let turn = Vector3::from_fn(|_, _| normal()) * options.turn_rad;
     let moved = Translation3::from(shift) * about(UnitQuaternion::from_scaled_axis(turn));
@@ -181,15 +179,15 @@ fn perturb(
     let planned = single(hand, object, &start, target_weights, &options.grasp);
     let context = FrameContext { reference: &turned, t_s: source.t_s, before: None, up: None };
     let grasp = evaluate(hand, object, &planned, &context, &options.grasp)?;
-    let good = grasp.is_accepted() && (grasp.force_closure || !options.force_closure);
+    let good = grasp.is_accepted() && (grasp.evaluation.force_closure || !options.force_closure);
     Ok(good.then(|| (grasp, (1e3 * shift.norm(), turn.norm()))))
 }
 
 fn same(a: &GraspFrame, b: &GraspFrame, (shift_m, turn_rad, joint_rad): (f64, f64, f64)) -> bool {
-    let (p, r) = (&a.object_from_base, &b.object_from_base);
+    let (p, r) = (&a.grasp.object_from_base, &b.grasp.object_from_base);
     (p.translation.vector - r.translation.vector).norm() < shift_m
         && p.rotation.angle_to(&r.rotation) < turn_rad
-        && a.q.iter().zip(&b.q).all(|(x, y)| (x - y).abs() < joint_rad)
+        && a.grasp.joints_rad.iter().zip(&b.grasp.joints_rad).all(|(x, y)| (x - y).abs() < joint_rad)
 }
 
 fn check(options: &AugmentOptions) -> Result<()> {

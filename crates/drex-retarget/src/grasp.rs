@@ -10,19 +10,19 @@ mod evaluation;
 mod goals;
 mod hand;
 mod phases;
-mod self_collision;
 mod sequence;
 mod surface_points;
 mod terms;
 
-use drex_core::Pose;
+use drex_core::{Object, Pose};
 use drex_demo::{Demonstration, FrameFlag};
+use drex_grasp::EvaluationOptions;
 use nalgebra::{Unit, Vector3};
 use rayon::prelude::*;
 
 use crate::levenberg_marquardt::HandState;
-use crate::{Error, ObjectSurface, Result, RetargetOptions, Retargeting, TargetHand, Verdict, retarget};
-pub use evaluation::{FingerContact, GraspFrame, SelfCollision};
+use crate::{Error, Result, RetargetOptions, Retargeting, TargetHand, retarget};
+pub use evaluation::{FingerContact, GraspFrame};
 pub(crate) use evaluation::{FrameContext, evaluate};
 pub(crate) use hand::GraspHand;
 pub(crate) use sequence::single;
@@ -47,27 +47,21 @@ pub struct GraspOptions {
     pub min_frames: usize,
     /// Fastest joint, rad/s (m/s).
     pub max_joint_speed: f64,
-    /// A finger counts as on the surface up to this gap, m.
-    pub contact_gap_m: f64,
-    /// Fingers besides the thumb that have to be on the surface in a held frame.
-    pub min_fingers: usize,
-    /// Deepest penetration of an accepted frame, m.
-    pub max_penetration_m: f64,
-    /// Deepest self-collision of an accepted frame, m.
-    pub max_self_collision_m: f64,
+    /// What an accepted frame keeps: the limits of a demonstrated grasp, but fingers touch up to 5 mm off, since trackers know a fingertip no better and
+    /// a hand that is closed by force goes on, and there is no table, since a recording does not say where it is.
+    pub limits: EvaluationOptions,
     /// Largest distance of the wrist of an accepted frame from the human wrist, m.
     pub max_wrist_shift_m: f64,
     /// Largest mean joint distance to the plain vector result of an accepted frame, rad.
     pub max_joint_distance_rad: f64,
-    /// Coulomb friction for force closure.
-    pub friction: f64,
-    /// A link within this gap gives contacts for force closure, m.
-    pub force_gap_m: f64,
 }
 
 impl Default for GraspOptions {
     fn default() -> Self {
+        let mut limits = EvaluationOptions::demonstrated();
+        (limits.touch_gap_m, limits.min_table_clearance_m) = (0.005, f64::NEG_INFINITY);
         Self {
+            limits,
             vector: RetargetOptions::default(),
             touch_m: 0.01,
             release_m: 0.025,
@@ -76,14 +70,8 @@ impl Default for GraspOptions {
             bridge_s: 1.0,
             min_frames: 3,
             max_joint_speed: 8.5,
-            contact_gap_m: 0.005,
-            min_fingers: 2,
-            max_penetration_m: 0.002,
-            max_self_collision_m: 0.001,
             max_wrist_shift_m: 0.12,
             max_joint_distance_rad: 0.35,
-            friction: 0.5,
-            force_gap_m: 0.002,
         }
     }
 }
@@ -108,16 +96,16 @@ pub struct GraspRetargeting {
 pub fn retarget_grasp(
     demo: &Demonstration,
     target: &TargetHand,
-    object: &ObjectSurface<'_>,
+    object: &Object,
     options: &GraspOptions,
 ) -> Result<GraspRetargeting> {
     check(options)?;
     let mut flags = vec![Vec::new(); demo.frames.len()];
     let poses = object_poses(demo, &mut flags)?;
-    let hand = GraspHand::new(target, options.friction, options.force_gap_m)?;
+    let hand = GraspHand::new(target)?;
     let vector = retarget(demo, target, &options.vector)?;
     let references = references(&vector, &poses);
-    let phases = phases::grasp_phases(demo, &poses, target, object.search, options);
+    let phases = phases::grasp_phases(demo, &poses, target, &*object.geometry, options);
     let planned = sequence::solve(&hand, object, demo, &poses, &references, &phases, options);
     let up: Vec<Option<Unit<Vector3<f64>>>> =
         poses.iter().map(|p| demo.up.map(|up| p.rotation.inverse() * up)).collect();
@@ -142,11 +130,6 @@ fn check(options: &GraspOptions) -> Result<()> {
         ("release_m", options.release_m),
         ("reach_m", options.reach_m),
         ("bridge_s", options.bridge_s),
-        ("contact_gap_m", options.contact_gap_m),
-        ("max_penetration_m", options.max_penetration_m),
-        ("max_self_collision_m", options.max_self_collision_m),
-        ("friction", options.friction),
-        ("force_gap_m", options.force_gap_m),
     ];
     if let Some((name, value)) = lengths.iter().find(|(_, v)| !(*v >= 0.0)) {
         return Err(Error::value(format!("{name} is {value}"), "give zero or more"));
@@ -202,6 +185,6 @@ fn object_poses(demo: &Demonstration, flags: &mut [Vec<FrameFlag>]) -> Result<Ve
 impl GraspFrame {
     /// Whether the frame was held and kept all rules.
     pub fn is_accepted(&self) -> bool {
-        self.held && matches!(self.verdict, Verdict::Accepted)
+        self.held && self.reasons.is_empty()
     }
 }

@@ -45,16 +45,17 @@ mod objective;
 mod result;
 mod retarget;
 mod scale;
+mod self_collision;
 mod solve;
 mod wrist_fit;
 
 pub use augment::{AugmentOptions, Augmentation, AugmentedGrasp, augment, symmetries};
 pub use error::{Error, Result};
-pub use grasp::{FingerContact, GraspFrame, GraspOptions, GraspRetargeting, SelfCollision, retarget_grasp};
+pub use grasp::{FingerContact, GraspFrame, GraspOptions, GraspRetargeting, retarget_grasp};
 pub use hand::{LinkPoint, TargetFinger, TargetHand};
 pub use result::{FingerResidual, Objective, RetargetedFrame, Retargeting, ScaleReport};
 pub use retarget::{RetargetOptions, Retargeter, Scale, retarget};
-pub use wrist_fit::{FingerGap, ObjectSurface, Rejection, Verdict, WristFit, WristFitOptions, fit_wrist, fit_wrists};
+pub use wrist_fit::{WristFit, WristFitOptions, fit_wrist, fit_wrists};
 
 #[cfg(doctest)]
 #[doc = include_str!("../README.md")]

@@ -9,6 +9,7 @@
 mod tests;
 mod unknowns;
 
+use nalgebra::{Cholesky, DMatrix, DVector};
 pub(crate) use unknowns::{BASE, State, Unknowns};
 
 /// Something to minimise.
@@ -60,8 +61,9 @@ impl Normal {
 #[derive(Debug, Clone, Default)]
 pub(crate) struct Newton {
     normal: Normal,
-    factor: Vec<f64>,
-    solution: Vec<f64>,
+    /// The damped Hessian of what is solved for.
+    model: DMatrix<f64>,
+    solution: DVector<f64>,
     step: Vec<f64>,
     /// Variables of the step that are solved for.
     free: Vec<usize>,
@@ -157,25 +159,24 @@ impl Newton {
         }
         loop {
             let m = self.free.len();
-            self.factor.clear();
-            self.factor.resize(m * m, 0.0);
+            let mut model = std::mem::take(&mut self.model);
+            model.resize_mut(m, m, 0.0);
             for (a, &i) in self.free.iter().enumerate() {
                 for (b, &j) in self.free[..=a].iter().enumerate() {
-                    self.factor[a * m + b] = self.normal.entry(i, j);
+                    model[(a, b)] = self.normal.entry(i, j);
                 }
-                self.factor[a * m + a] += damping * (self.normal.entry(i, i).abs() + 0.1 * mean);
+                model[(a, a)] += damping * (self.normal.entry(i, i).abs() + 0.1 * mean);
             }
-            if !cholesky(&mut self.factor, m) {
-                return None;
-            }
+            let factor = Cholesky::new(model)?;
             // Steps other than zero are held at a wall; they move the right side.
-            self.solution.clear();
-            for &i in &self.free {
+            self.solution.resize_vertically_mut(m, 0.0);
+            for (a, &i) in self.free.iter().enumerate() {
                 let held = (0..n).filter(|&j| self.step[j] != 0.0);
                 let moved: f64 = held.map(|j| self.normal.entry(i, j) * self.step[j]).sum();
-                self.solution.push(-(self.normal.gradient[i] + moved));
+                self.solution[a] = -(self.normal.gradient[i] + moved);
             }
-            substitute(&self.factor, &mut self.solution);
+            factor.solve_mut(&mut self.solution);
+            self.model = factor.unpack_dirty();
             let mut solution = self.solution.iter();
             let step = &mut self.step;
             self.free.retain(|&k| {
@@ -213,36 +214,4 @@ fn more(damping: f64) -> f64 {
 
 fn less(damping: f64) -> f64 {
     if damping < 1e-3 { 0.0 } else { damping * 0.125 }
-}
-
-/// Factors the lower triangle of the n × n matrix `a` in place; false if it is not positive definite.
-fn cholesky(a: &mut [f64], n: usize) -> bool {
-    for i in 0..n {
-        for j in 0..=i {
-            let dot: f64 = (0..j).map(|k| a[i * n + k] * a[j * n + k]).sum();
-            let rest = a[i * n + j] - dot;
-            if i == j {
-                if !(rest > 1e-14 * a[i * n + i].abs()) {
-                    return false;
-                }
-                a[i * n + i] = rest.sqrt();
-            } else {
-                a[i * n + j] = rest / a[j * n + j];
-            }
-        }
-    }
-    true
-}
-
-/// Solves L Lᵀ x = b in place.
-fn substitute(l: &[f64], b: &mut [f64]) {
-    let n = b.len();
-    for i in 0..n {
-        let dot: f64 = (0..i).map(|k| l[i * n + k] * b[k]).sum();
-        b[i] = (b[i] - dot) / l[i * n + i];
-    }
-    for i in (0..n).rev() {
-        let dot: f64 = (i + 1..n).map(|k| l[k * n + i] * b[k]).sum();
-        b[i] = (b[i] - dot) / l[i * n + i];
-    }
 }

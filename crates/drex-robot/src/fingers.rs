@@ -12,7 +12,6 @@ const SAME_PLACE: f64 = 1e-3;
 
 /// One finger: the chain of links from the palm to a tip.
 #[derive(Debug, Clone, PartialEq)]
-#[non_exhaustive]
 pub struct Finger {
     /// Common beginning of the link names (`index` of `index_base`, `index_tip`), or the name of the first link.
     pub name: String,

@@ -17,7 +17,7 @@ const STEPS: usize = 12;
 const REGULAR_M: f64 = 0.01;
 /// From how far the hand comes, m, and points of that way that are looked at.
 const RETREAT_M: f64 = 0.12;
-const LOOKS: usize = 6;
+const RETREAT_STEPS: usize = 6;
 
 /// Joint angles before and after a grasp, rad, and the way to it.
 #[derive(Debug, Clone, PartialEq)]
@@ -137,8 +137,8 @@ fn retreat(
     let mut best = (f64::INFINITY, up);
     for direction in candidates {
         let mut worst = f64::NEG_INFINITY;
-        for i in 1..=LOOKS {
-            let away = nalgebra::Translation3::from(direction * (RETREAT_M * i as f64 / LOOKS as f64));
+        for i in 1..=RETREAT_STEPS {
+            let away = nalgebra::Translation3::from(direction * (RETREAT_M * i as f64 / RETREAT_STEPS as f64));
             let moved: Vec<Pose> = poses.iter().map(|p| away * p).collect();
             let depth = surface.depths(&moved, object, 0.0).into_iter().fold(f64::NEG_INFINITY, f64::max);
             let lowest = surface.lowest(&moved, &up).into_iter().fold(f64::INFINITY, f64::min);

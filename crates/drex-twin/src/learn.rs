@@ -21,10 +21,10 @@ use rayon::prelude::*;
 
 /// Points of the object that the network sees.
 pub const POINTS: usize = 512;
-/// The network learns the force at these multiples of the object's mass.
-const MASS_FACTORS: [f64; 3] = [0.4, 1.0, 2.0];
-/// Frictions of the force labels.
-const FRICTIONS: [f64; 3] = [0.35, 0.5, 0.75];
+/// The network learns the force at these multiples of the object's mass
+pub(crate) const MASS_FACTORS: [f64; 3] = [0.4, 1.0, 2.0];
+/// and at these multiples of its friction.
+const FRICTION_FACTORS: [f64; 3] = [0.7, 1.0, 1.5];
 /// Rounds of rollouts of the network, views of a round, tries of a view.
 const ROUNDS: (usize, usize, usize) = (10, 6, 8);
 /// More than the motors of any hand grip force with, N.
@@ -112,7 +112,7 @@ impl Learned {
             select_grasps(object, robot, grasps, evaluator, practice_kg, &selection)?;
         let samples: Vec<GraspSample> = selected
             .par_iter()
-            .map(|p| samples(p, evaluator, &masses, shown_kg))
+            .map(|p| samples(p, evaluator, &masses, object.friction, shown_kg))
             .collect::<Result<Vec<_>>>()?
             .into_iter()
             .flatten()
@@ -126,23 +126,7 @@ impl Learned {
                 robot.name
             );
         }
-        let limits = robot.joints.iter().map(|j| {
-            j.limits
-                .with_context(|| format!("joint {} of {} has no limits; the network needs them", j.name, robot.name))
-        });
-        let up = object.table().up.into_inner();
-        let data = Dataset {
-            joint_names: robot.joint_names().into_iter().map(str::to_owned).collect(),
-            joint_limits: limits.collect::<Result<_>>()?,
-            hand: robot.name.clone(),
-            fingers: robot.fingers().into_iter().map(|f| f.name).collect(),
-            objects: vec![ObjectCloud {
-                name: object.name.clone(),
-                points: object.point_cloud(POINTS, options.train.seed),
-                up,
-            }],
-            samples,
-        };
+        let data = dataset(object, robot, samples, options.train.seed)?;
         let mut train = options.train.clone();
         // Every grasp that held has a mode of its own; a mean of two may hold nothing.
         train.modes = selected.len();
@@ -195,31 +179,67 @@ pub fn grasp_of(hand: &str, joint_names: &[String], predicted: &PredictedGrasp) 
     }
 }
 
-/// The grasp with the force that it needs at each of the masses and frictions.
+/// The grasp with the force that it needs at each of the masses, closed as for the first.
 fn samples<E: Evaluator>(
     validated: &ValidatedGrasp,
     evaluator: &E,
     masses: &[f64],
+    friction: f64,
     shown_kg: Option<f64>,
 ) -> Result<Vec<GraspSample>> {
-    let grasp = &validated.grasp;
+    let closed = evaluator.close(&validated.grasp, &Assumed { mass_kg: masses[0], friction })?;
+    let labels = labels(&validated.grasp, &validated.fingers, masses, friction, |assumed| {
+        needed_n(evaluator, &closed, assumed)
+    })?;
+    Ok(labels.into_iter().map(|s| GraspSample { mass_kg: shown_kg.unwrap_or(s.mass_kg), ..s }).collect())
+}
+
+/// The grasp with its grip force at each of the masses (kg) and at multiples of the friction; without those where `grip_force_n` knows none.
+pub(crate) fn labels(
+    grasp: &Grasp,
+    fingers: &[bool],
+    masses: &[f64],
+    friction: f64,
+    grip_force_n: impl Fn(&Assumed) -> Result<Option<f64>>,
+) -> Result<Vec<GraspSample>> {
     let mut out = Vec::new();
-    let closed = evaluator.close(grasp, &Assumed { mass_kg: masses[0], friction: FRICTIONS[1] })?;
-    for (mass_kg, friction) in masses.iter().flat_map(|m| FRICTIONS.map(|f| (*m, f))) {
-        let assumed = Assumed { mass_kg, friction };
-        if let Some(grip_force_n) = needed_n(evaluator, &closed, &assumed)? {
+    for (mass_kg, friction) in masses.iter().flat_map(|m| FRICTION_FACTORS.map(|f| (*m, f * friction))) {
+        if let Some(grip_force_n) = grip_force_n(&Assumed { mass_kg, friction })? {
             out.push(GraspSample {
                 object: 0,
                 joints: grasp.joints_rad.clone(),
                 object_from_base: grasp.object_from_base,
-                contacts: validated.fingers.clone(),
+                contacts: fingers.to_vec(),
                 grip_force_n,
-                mass_kg: shown_kg.unwrap_or(mass_kg),
+                mass_kg,
                 friction,
             });
         }
     }
     Ok(out)
+}
+
+/// What the network learns of one object.
+///
+/// # Errors
+/// If a joint of the hand has no limits.
+pub(crate) fn dataset(object: &Object, robot: &Robot, samples: Vec<GraspSample>, seed: u64) -> Result<Dataset> {
+    let limits = robot.joints.iter().map(|j| {
+        let why = || format!("joint {} of {} has no limits; the network needs them", j.name, robot.name);
+        j.limits.with_context(why)
+    });
+    Ok(Dataset {
+        hand: robot.name.clone(),
+        joint_names: robot.joint_names().into_iter().map(str::to_owned).collect(),
+        joint_limits: limits.collect::<Result<_>>()?,
+        fingers: robot.fingers().into_iter().map(|f| f.name).collect(),
+        objects: vec![ObjectCloud {
+            name: object.name.clone(),
+            points: object.point_cloud(POINTS, seed),
+            up: object.table().up.into_inner(),
+        }],
+        samples,
+    })
 }
 
 /// The grip force that the law asks for; all that the motors have where they have too little for it but may still carry. Without these

@@ -209,8 +209,10 @@ impl Predictor {
         let per_finger_n = command.map_or(&[][..], |c| &c.per_finger_n);
         let mut contacts: Vec<FingerContacts> = Vec::new();
         for (i, finger) in robot.fingers().into_iter().enumerate() {
+            let count = links.iter().filter(|l| finger.links.contains(l)).count();
             contacts.push(FingerContacts {
-                contacts: links.iter().filter(|l| finger.links.contains(l)).count(),
+                contacts: count,
+                touches: count > 0,
                 finger: finger.name,
                 normal_n: per_finger_n.get(i).copied().unwrap_or(0.0),
             });
@@ -220,6 +222,7 @@ impl Predictor {
         contacts.push(FingerContacts {
             finger: "palm".into(),
             contacts: links.len().saturating_sub(of_fingers),
+            touches: false,
             normal_n: command.map_or(0.0, |c| (c.grip_force_n - of_fingers_n).max(0.0)),
         });
         let touching = contacts.iter().filter(|f| f.contacts > 0).count();

@@ -5,10 +5,11 @@ use std::path::Path;
 use crate::Result;
 use crate::error::Context;
 use drex_core::{PoseRecord, fsutil};
-use drex_grasp::{GraspEvaluation, GraspOrigin, GripForcePolicy, OriginCounts};
+use drex_grasp::{Grasp, GraspEvaluation, GraspOrigin, GripForcePolicy, OriginCounts};
 use drex_hw::driver::ContactRecord;
 use drex_mesh::{FusionReport, ScanEvidence};
 use drex_policy::TrainReport;
+use drex_robot::Robot;
 use drex_sysid::{Identification, MassDistribution, MassPosterior, MassPrior, MassSource};
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
@@ -217,6 +218,42 @@ pub struct FitRecord {
 }
 
 impl FitRecord {
+    /// The record of an evaluated grasp of an object of this weight, N; `correction_rad` is what led to its joints.
+    pub(crate) fn of(
+        demonstration: usize,
+        grasp: &Grasp,
+        evaluation: &GraspEvaluation,
+        correction_rad: Vec<f64>,
+        weight_n: f64,
+    ) -> Self {
+        let touching = evaluation.fingers.iter().filter(|f| f.touches);
+        Self {
+            demonstration,
+            accepted: evaluation.passed,
+            reasons: evaluation.failures.clone(),
+            joints_rad: grasp.joints_rad.clone(),
+            largest_clipping_rad: 0.0,
+            largest_correction_rad: correction_rad.iter().fold(0.0, |m, c| c.abs().max(m)),
+            correction_rad,
+            object_from_base: PoseRecord::from(&grasp.object_from_base),
+            penetration_mm: evaluation.penetration_mm,
+            table_clearance_mm: evaluation.table_clearance_mm,
+            touching: touching.map(|f| f.finger.clone()).collect(),
+            pushed_out: None,
+            grip_force_per_weight: evaluation.grip_force_n.map(|n| n / weight_n),
+            source: None,
+        }
+    }
+
+    /// The grasp of the record, of this hand. What it touches is not written down.
+    ///
+    /// # Errors
+    /// If the pose in the file is none.
+    pub fn grasp(&self, robot: &Robot) -> Result<Grasp> {
+        let grasp = Grasp::new(robot, self.joints_rad.clone(), self.object_from_base.to_pose()?);
+        Ok(Grasp { origin: self.origin(), source: self.demonstration, ..grasp })
+    }
+
     /// Where it comes from.
     pub fn origin(&self) -> GraspOrigin {
         if self.is_augmented() { GraspOrigin::Refined } else { GraspOrigin::Retargeted }
@@ -303,12 +340,12 @@ pub struct Training {
     pub samples: usize,
     /// Curve, held-out errors, baselines.
     pub report: TrainReport,
-    /// What was practised before it was learned.
+    /// What was tried in simulation before it was learned.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub practice: Option<PracticeRecord>,
 }
 
-/// What became of the grasps that were tried in practice.
+/// What became of the grasps that were tried in simulation.
 #[derive(Debug, Clone, Serialize, Deserialize)]
 pub struct PracticeRecord {
     /// Number of grasps that the motors can hold once the hand has closed.
@@ -324,7 +361,7 @@ pub struct TrialFile {
     pub schema: u32,
     /// The hand.
     pub hand: String,
-    /// Its joints, in the order of [`FilmFrame::joints_rad`].
+    /// Its joints, in the order of [`RecordedFrame::joints_rad`].
     pub joint_names: Vec<String>,
     /// Mass that the hand takes the object for, kg.
     pub mass_kg: f64,
@@ -345,8 +382,9 @@ pub struct TrialFile {
     /// Each rollout.
     pub rollouts: Vec<RolloutRecord>,
     /// The first rollout that succeeded, or the first that could be carried out; empty if none could.
-    pub film: Vec<FilmFrame>,
-    /// Index of the rollout that the film shows.
+    #[serde(rename = "film")]
+    pub recording: Vec<RecordedFrame>,
+    /// Index of the rollout that is recorded.
     pub filmed: Option<usize>,
 }
 
@@ -372,7 +410,7 @@ pub struct RolloutRecord {
 
 /// What can be seen of a rollout at one time.
 #[derive(Debug, Clone, Serialize, Deserialize)]
-pub struct FilmFrame {
+pub struct RecordedFrame {
     /// From the start, s.
     pub time_s: f64,
     /// The hand's base in the world.

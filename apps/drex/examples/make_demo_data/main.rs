@@ -21,17 +21,17 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use anyhow::{Context, Result};
-use drex_core::{MassProperties, Pose, PoseRecord, Surface, TablePlane, TriMesh, fsutil, pose};
+use drex_core::{MassProperties, Pose, PoseRecord, TriMesh, fsutil, pose};
 use drex_diffsim::{
     AppliedForce, Body, Collider, ConvexPolyhedron, ForcePoint, Model, Part, Scene, State, StaticBody, rollout,
 };
-use drex_mesh::{Asset, AssetOptions, GridOptions, GridSdf, MeshSdf, asset_from_mesh};
+use drex_mesh::{Asset, AssetOptions, asset_from_mesh};
 use drex_recording::JointPoses;
 use drex_recording::readers::{GraspFile, write_grasps_json};
 use drex_recording::{
     ClockConfig, ForceConfig, FrameKind, PoseConfig, PushConfig, StartConfig, Support, TrackConfig, TrackFormat,
 };
-use drex_retarget::{ObjectSurface, WristFitOptions, fit_wrists};
+use drex_retarget::{WristFitOptions, fit_wrists};
 use drex_robot::Robot;
 use nalgebra::{Point3, UnitQuaternion, Vector3};
 use rand::{RngExt, SeedableRng};
@@ -223,27 +223,19 @@ fn make_push(shells: &[TriMesh], mesh_from_tin: &Pose, mass_kg: f64, mesh: &str,
 /// recorded as joint angles with noise and without the wrist, as a retargeted human demonstration would be.
 fn make_grasps(tin: &Asset, file: &Path) -> Result<()> {
     let robot = Robot::bundled("leap_right")?;
-    let exact = MeshSdf::new(&tin.visual)?;
-    let mut around = GridOptions::default();
-    around.margin_m = Some(0.1);
-    let grid = GridSdf::with_options(exact.clone(), &around)?;
-    let table = TablePlane::under(&tin.visual.vertices, Vector3::z()).context("the tin has no vertices")?;
-    let object = ObjectSurface {
-        search: &grid,
-        exact: &exact,
-        bounds: exact.bounds(),
-        center_of_mass: tin.properties.center_of_mass,
-    };
+    let object = tin.to_object("tin")?;
     let mut fit = WristFitOptions::default().with_seed(SEED);
     fit.max_finger_correction_rad = 0.5;
     let mut rng = ChaCha8Rng::seed_from_u64(SEED + 1);
     let closed: Vec<Vec<f64>> = (0..2 * GRASPS).map(|_| closed_hand(&robot, &mut rng)).collect();
-    let fits = fit_wrists(&robot, &closed, &object, &table, &fit)?;
+    let fits = fit_wrists(&robot, &closed, &object, &fit)?;
     let rows: Vec<Vec<f64>> = fits
         .iter()
-        .filter(|f| f.verdict.is_accepted() && f.grip_force_per_weight.is_some())
+        .filter(|f| f.evaluation.passed && f.grasp.grip_force_n.is_some())
         .take(GRASPS)
-        .map(|f| f.joints.iter().map(|q| ((q + JOINT_SD_RAD * normal3(&mut rng).x) * 1e4).round() / 1e4).collect())
+        .map(|f| {
+            f.grasp.joints_rad.iter().map(|q| ((q + JOINT_SD_RAD * normal3(&mut rng).x) * 1e4).round() / 1e4).collect()
+        })
         .collect();
     eprintln!("{} grasps of {} tries", rows.len(), closed.len());
     let names = robot.joint_names().into_iter().map(str::to_owned).collect();

@@ -32,7 +32,7 @@ fn equal_limits_give_equal_verdicts() {
     let (mut all, mut passed, mut differ) = (0, 0, Vec::new());
     for seed in 0.. {
         let (object, robot) = (random_object(&mut random), &hands[seed as usize % 2]);
-        let mut options = EvaluationOptions::of(&object);
+        let mut options = EvaluationOptions::default();
         // What pinches with one finger beside the thumb is among them as well.
         options.min_fingers = 1;
         let surface = HandSurface::new(robot, options.contact.spacing_m).unwrap();

@@ -133,7 +133,7 @@ fn an_evaluation_names_what_is_wrong() {
     let center = ball_at_the_fingertip(&robot, &q, 0.004).0.center;
     let ball = support::ball(0.02, center, 0.1);
     let grasp = Grasp::new(&robot, q.clone(), Pose::identity());
-    let defaults = EvaluationOptions::of(&ball);
+    let defaults = EvaluationOptions::default();
     let found = evaluate(&grasp, &ball, &robot, &defaults).unwrap();
     assert!(!found.passed && found.grip_force_n.is_none() && !found.force_closure);
     for word in ["thumb", "1 of 3 fingers", "inside the object", "below the table", "force closure", "cannot carry"] {
@@ -166,7 +166,7 @@ fn an_evaluation_names_what_is_wrong() {
     let mut easy = defaults.clone();
     (easy.thumb, easy.min_fingers) = (false, 1);
     let failures = evaluate(&grasp, &ball, &robot, &easy).unwrap().failures;
-    assert!(!failures.iter().any(|f| f.contains("thumb") || f.contains("fingers touch")), "{failures:?}");
+    assert!(!failures.iter().any(|f| f.contains("the thumb") || f.contains("fingers touch")), "{failures:?}");
     let contacts: usize = found.fingers.iter().map(|c| c.contacts).sum();
     assert!(contacts == found.contacts.len() && contacts > 0 && found.fingers.last().unwrap().finger == "palm");
     // What asks for the verdict alone stops where it is clear.

@@ -60,7 +60,7 @@ fn the_evaluation_of_a_found_grasp_is_the_cone_programme_on_its_contacts() {
     let mut ball = ball(radius);
     ball.mass_properties.center_of_mass = Point3::new(0.0, 0.002, 0.0);
     let (body, gravity) = (ball.mass_properties, ball.table().gravity());
-    let mut options = EvaluationOptions::of(&ball);
+    let mut options = EvaluationOptions::default();
     options.gamma = 1.3;
     let mut carried = 0;
     for f in found.iter().take(8) {

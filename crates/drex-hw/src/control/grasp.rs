@@ -17,7 +17,7 @@ const THERE_RAD: f64 = 0.03;
 /// A grasp as a controller of the loop. Once a joint touches, its goal leads the contact far enough for the effort limit, not the
 /// stiffness of the position loop, to set the force.
 #[derive(Debug)]
-pub struct Grasp {
+pub struct GraspController {
     plan: GraspPlan,
     handle: GraspHandle,
     phase: GraspPhase,
@@ -72,7 +72,7 @@ impl GraspHandle {
     }
 }
 
-impl Grasp {
+impl GraspController {
     /// A grasp that was not begun; the plan is checked against the hand when the loop starts.
     pub fn new(plan: GraspPlan) -> Self {
         Self {
@@ -249,7 +249,7 @@ impl Grasp {
     }
 }
 
-impl Controller for Grasp {
+impl Controller for GraspController {
     fn begin(&mut self, joints: &Joints<'_>, state: &HandState) -> Result<()> {
         self.plan.check(joints)?;
         let n = joints.names.len();

@@ -21,7 +21,7 @@ pub use controller::{Controller, HoldPosition, Joints};
 pub use csv::write_csv;
 pub use cycle::{LoopReport, StopReason, run};
 pub use fault_log::JointFault;
-pub use grasp::{Grasp, GraspHandle};
+pub use grasp::{GraspController, GraspHandle};
 pub use grasp_plan::{GraspContact, GraspOutcome, GraspPhase, GraspPlan};
 pub use options::{ControlOptions, Derating};
 pub use stats::{LoopStats, Quantiles};

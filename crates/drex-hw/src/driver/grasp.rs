@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 use super::scene::{allegro_scene, leap_scene};
 use super::{HandKind, Run, Setup, run_logged};
 use crate::allegro::AllegroHand;
-use crate::control::{Grasp, GraspOutcome, GraspPlan, LoopReport};
+use crate::control::{GraspController, GraspOutcome, GraspPlan, LoopReport};
 use crate::dynamixel::Timing;
 use crate::emulator::allegro::AllegroEmulator;
 use crate::emulator::leap::LeapEmulator;
@@ -45,7 +45,7 @@ pub struct ContactRecord {
 /// If the plan does not fit the hand, the hand fails, or somebody stops it.
 pub fn grasp(hand: &mut dyn Hand, clock: &dyn Clock, plan: GraspPlan, how: &Run<'_>) -> Result<GraspResult> {
     let force = plan.force_effort.clone();
-    let mut grasp = Grasp::new(plan);
+    let mut grasp = GraspController::new(plan);
     let report = run_logged(hand, &mut grasp, clock, how)?;
     Ok(GraspResult { outcome: grasp.outcome().clone(), report, force })
 }

@@ -22,7 +22,7 @@ pub use self::model::{Background, SceneOptions};
 pub use self::options::{AssetOptions, LengthUnit, UpSource};
 pub use contact::ContactConfig;
 pub use joints::{JointConfig, JointKind, PartConfig, joint_tree};
-pub use object::read_object;
+pub use object::{read_object, solid_object};
 pub use texture::TextureMap;
 
 use crate::bvh::Aabb;

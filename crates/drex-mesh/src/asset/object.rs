@@ -4,16 +4,19 @@ use std::path::Path;
 use std::sync::Arc;
 
 use drex_core::fsutil::{from_json, read_text};
-use drex_core::{ASSUMED_FRICTION, MassProperties, Object, PoseRecord, PrimitiveRecord};
+use drex_core::{ASSUMED_FRICTION, MassProperties, Object, PoseRecord, PrimitiveRecord, TriMesh};
 use nalgebra::{Matrix3, Point3};
 use serde::Deserialize;
 
 use super::Asset;
 use super::write;
-use crate::{GridOptions, GridSdf, MeshSdf, Result, read_mesh};
+use crate::{GridOptions, GridSdf, MeshSdf, Result, read_mesh, solid_properties};
 
 /// How far around the object a search for grasps asks for distances, metres; most of a hand is nearer.
 const SEARCH_MARGIN_M: f64 = 0.1;
+
+/// Density of water.
+const WATER_KG_M3: f64 = 1000.0;
 
 impl Asset {
     /// The object in the asset's rest pose, with its signed distance on a grid for searching and the exact one behind it.
@@ -46,6 +49,20 @@ impl Asset {
             world_from_object: self.world_from_mesh_at_rest,
         }
     }
+}
+
+/// The object of a closed mesh, filled with water, that is held and not simulated: without convex parts, which take the most time of an asset.
+/// `grid` is for its fast distances; it rests as its mesh stands.
+///
+/// # Errors
+/// If the mesh has no surface or no volume.
+pub fn solid_object(name: &str, mesh: &TriMesh, grid: &GridOptions) -> Result<Object> {
+    let solid = solid_properties(mesh)?.properties;
+    let mut object = Object::of_parts(Vec::new(), solid.with_mass(WATER_KG_M3 * solid.mass_kg));
+    object.name = name.to_owned();
+    object.mesh = Arc::new(mesh.clone());
+    object.geometry = Arc::new(GridSdf::with_options(MeshSdf::new(mesh)?, grid)?);
+    Ok(object)
 }
 
 /// Reads back the object of the asset that [`Asset::write`] wrote into the folder `out`, with exact distances and at

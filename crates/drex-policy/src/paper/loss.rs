@@ -11,43 +11,43 @@ const EDGE: f64 = 1e-7;
 
 /// MSE(a) + BCE(r) + MSE(f) with r = f = 1, means over the batch and over the numbers of each kind. All samples see the same outputs.
 pub(crate) fn demo_loss(out: &[f64], labels: &[&[f64]]) -> (PaperLoss, Vec<f64>) {
-    let mut slopes = vec![0.0; out.len()];
+    let mut derivatives = vec![0.0; out.len()];
     let count = (labels.len().max(1) * JOINTS) as f64;
     let mut joints = 0.0;
     for label in labels {
         for j in 0..JOINTS {
             let gap = out[j] - label[j];
             joints += gap * gap / count;
-            slopes[j] += 2.0 * gap / count;
+            derivatives[j] += 2.0 * gap / count;
         }
     }
-    let contacts = cross_entropy(out, [1.0, 1.0], 1.0, &mut slopes);
-    let force = squared_force(out, 1.0, 1.0, &mut slopes);
-    (PaperLoss { joints, contacts, force, total: joints + contacts + force }, slopes)
+    let contacts = cross_entropy(out, [1.0, 1.0], 1.0, &mut derivatives);
+    let force = squared_force(out, 1.0, 1.0, &mut derivatives);
+    (PaperLoss { joints, contacts, force, total: joints + contacts + force }, derivatives)
 }
 
 /// 0.8 BCE(r) + 0.3 · 0.1 MSE(f); the joint angles have no loss.
 pub(crate) fn contact_loss(out: &[f64], touching: [f64; 2], wanted_force: f64) -> (PaperLoss, Vec<f64>) {
-    let mut slopes = vec![0.0; out.len()];
-    let contacts = cross_entropy(out, touching, CONTACT_WEIGHT, &mut slopes);
-    let force = squared_force(out, wanted_force, FORCE_WEIGHT, &mut slopes);
-    (PaperLoss { joints: 0.0, contacts, force, total: CONTACT_WEIGHT * contacts + FORCE_WEIGHT * force }, slopes)
+    let mut derivatives = vec![0.0; out.len()];
+    let contacts = cross_entropy(out, touching, CONTACT_WEIGHT, &mut derivatives);
+    let force = squared_force(out, wanted_force, FORCE_WEIGHT, &mut derivatives);
+    (PaperLoss { joints: 0.0, contacts, force, total: CONTACT_WEIGHT * contacts + FORCE_WEIGHT * force }, derivatives)
 }
 
 /// Mean binary cross-entropy of the two contacts; adds `weight` times its derivative.
-fn cross_entropy(out: &[f64], labels: [f64; 2], weight: f64, slopes: &mut [f64]) -> f64 {
+fn cross_entropy(out: &[f64], labels: [f64; 2], weight: f64, derivatives: &mut [f64]) -> f64 {
     let mut sum = 0.0;
     for (i, label) in labels.into_iter().enumerate() {
         let p = out[JOINTS + i].clamp(EDGE, 1.0 - EDGE);
         sum -= 0.5 * (label * p.ln() + (1.0 - label) * (1.0 - p).ln());
-        slopes[JOINTS + i] += weight * 0.5 * (p - label) / (p * (1.0 - p));
+        derivatives[JOINTS + i] += weight * 0.5 * (p - label) / (p * (1.0 - p));
     }
     sum
 }
 
-fn squared_force(out: &[f64], wanted: f64, weight: f64, slopes: &mut [f64]) -> f64 {
+fn squared_force(out: &[f64], wanted: f64, weight: f64, derivatives: &mut [f64]) -> f64 {
     let gap = out[JOINTS + 2] - wanted;
-    slopes[JOINTS + 2] += weight * 2.0 * gap;
+    derivatives[JOINTS + 2] += weight * 2.0 * gap;
     gap * gap
 }
 
@@ -61,7 +61,7 @@ mod tests {
 
     fn check(loss: impl Fn(&[f64]) -> (PaperLoss, Vec<f64>), plain: impl Fn(&[f64]) -> f64) {
         let mut out = outputs();
-        let (parts, slopes) = loss(&out);
+        let (parts, derivatives) = loss(&out);
         assert!((parts.total - plain(&out)).abs() < 1e-12, "{} against {}", parts.total, plain(&out));
         for i in 0..out.len() {
             let (value, step) = (out[i], 1e-6);
@@ -70,7 +70,7 @@ mod tests {
             out[i] = value - step;
             let below = plain(&out);
             out[i] = value;
-            assert!((slopes[i] - (above - below) / (2.0 * step)).abs() < 1e-7, "output {i}");
+            assert!((derivatives[i] - (above - below) / (2.0 * step)).abs() < 1e-7, "output {i}");
         }
     }
 

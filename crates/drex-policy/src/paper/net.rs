@@ -61,9 +61,9 @@ pub(super) fn gradients<T>(
     let parameters: Vec<Tensor<2>> = load(weights, &device).into_iter().map(Tensor::require_grad).collect();
     let out = forward(&parameters, encoded, &device);
     let plain: Vec<f64> = values(out.clone().detach())?.into_iter().map(f64::from).collect();
-    let (result, slopes) = loss(&plain);
-    let slopes: Vec<f32> = slopes.into_iter().map(|s| s as f32).collect();
-    let mut gradients = (out.clone() * tensor(slopes, out.dims(), &device)).sum().backward();
+    let (result, derivatives) = loss(&plain);
+    let derivatives: Vec<f32> = derivatives.into_iter().map(|s| s as f32).collect();
+    let mut gradients = (out.clone() * tensor(derivatives, out.dims(), &device)).sum().backward();
     let of = |p: &Tensor<2>| match p.grad_remove(&mut gradients) {
         Some(gradient) => values(gradient),
         None => Err(Error::Backend { what: "a weight has no gradient".into() }),

@@ -14,7 +14,7 @@ use rand::RngExt;
 use crate::adam::Adam;
 use crate::evaluate::{baselines, grasp_errors, log_densities, mode_reports, proposals};
 use crate::loss::{Found, LossParts, Scales, Target, demo_loss};
-use crate::net::{Slopes, gradients};
+use crate::net::{Derivatives, gradients};
 use crate::norm::{Normalisation, grip_force_ratio, joint_intervals, outputs_for, wrist_numbers};
 use crate::policy::{Card, LARGEST_OBJECT, Scene, check_size, same_hand};
 use crate::sample::normal_vector;
@@ -221,7 +221,7 @@ impl<'a> Trainer<'a> {
             let (parts, gradient) = gradients(weights, &scene.encoded, &scalars, |outputs| {
                 let found = demo_loss(&weights.layout, outputs, weights.log_spread(), &targets, &scales, true);
                 let Found { parts, outputs, log_spread, .. } = found;
-                (parts, Slopes { outputs, log_spread })
+                (parts, Derivatives { outputs, log_spread })
             })?;
             if !parts.total.is_finite() {
                 return Err(Error::Diverged { epoch, loss: parts.total, learning_rate: options.learning_rate });

@@ -23,7 +23,7 @@ use serde::{Deserialize, Serialize};
 use super::{Scene, Trainer, Weights};
 use crate::density::log_sum_exp;
 use crate::loss::{Mode, Scales, Target, demo_loss};
-use crate::net::{self, Slopes};
+use crate::net::{self, Derivatives};
 use crate::norm::Normalisation;
 use crate::options::RolloutOptions;
 use crate::split::{Stream, random_of_epoch, shuffle};
@@ -414,31 +414,31 @@ struct Learner<'a> {
 }
 
 impl Learner<'_> {
-    fn loss(&self, outputs: &[f32]) -> (f64, Slopes) {
+    fn loss(&self, outputs: &[f32]) -> (f64, Derivatives) {
         let layout = self.weights.layout;
         let row = layout.modes * layout.mode_width();
         let start = self.round.tries.len() * row;
-        let mut slopes = vec![0.0; outputs.len()];
+        let mut derivatives = vec![0.0; outputs.len()];
         let mut loss = 0.0;
         for (i, t) in self.round.tries.iter().enumerate() {
             let part = i * row..(i + 1) * row;
-            loss += self.of_try(t, &self.rewards[i], &outputs[part.clone()], part.start, &mut slopes[part]);
+            loss += self.of_try(t, &self.rewards[i], &outputs[part.clone()], part.start, &mut derivatives[part]);
         }
         for (i, out) in outputs.chunks_exact(row).enumerate() {
-            loss += self.of_anchor(out, i * row, outputs.len() / row, &mut slopes[i * row..(i + 1) * row]);
+            loss += self.of_anchor(out, i * row, outputs.len() / row, &mut derivatives[i * row..(i + 1) * row]);
         }
         // Rollouts know more about contacts and grip forces than demonstrations do.
         let scales = Scales { nearest_weight: 0.0, force_weight: 0.0, contact_weight: 0.0, ..self.scales.clone() };
         let found = demo_loss(&layout, &outputs[start..], self.weights.log_spread(), &self.round.demos, &scales, false);
         loss += self.options.demo_weight * found.parts.total;
         let weight = self.options.demo_weight as f32;
-        slopes[start..].iter_mut().zip(&found.outputs).for_each(|(s, d)| *s += weight * d);
+        derivatives[start..].iter_mut().zip(&found.outputs).for_each(|(s, d)| *s += weight * d);
         // The spreads stay what the demonstrations taught.
-        (loss, Slopes { outputs: slopes, log_spread: vec![0.0; layout.spreads()] })
+        (loss, Derivatives { outputs: derivatives, log_spread: vec![0.0; layout.spreads()] })
     }
 
     /// Contacts, grip force and probability of the mode that was tried; the others keep what they had.
-    fn of_try(&self, t: &Try, rewards: &[f64], out: &[f32], start: usize, slopes: &mut [f32]) -> f64 {
+    fn of_try(&self, t: &Try, rewards: &[f64], out: &[f32], start: usize, derivatives: &mut [f32]) -> f64 {
         let layout = self.weights.layout;
         let width = layout.mode_width();
         let Some(feedback) = &t.feedback else { return 0.0 };
@@ -452,7 +452,7 @@ impl Learner<'_> {
         for k in 0..layout.modes {
             let of = k * width..(k + 1) * width;
             let mode = Mode::new(&layout, self.scales, &out[of.clone()]);
-            let slope = &mut slopes[of.clone()];
+            let slope = &mut derivatives[of.clone()];
             let (probability, wished) = ((log(out, k) - log_z).exp(), (wish(k) - wish_z).exp());
             loss -= scale * wished * (log(out, k) - log_z);
             slope[layout.logit()] += (scale * (probability - wished)) as f32;
@@ -484,7 +484,7 @@ impl Learner<'_> {
     }
 
     /// Joints and wrists of all modes stay near what the first phase taught.
-    fn of_anchor(&self, out: &[f32], start: usize, rows: usize, slopes: &mut [f32]) -> f64 {
+    fn of_anchor(&self, out: &[f32], start: usize, rows: usize, derivatives: &mut [f32]) -> f64 {
         let layout = self.weights.layout;
         let width = layout.mode_width();
         let scale = self.options.anchor_weight / (rows * layout.modes) as f64;
@@ -498,7 +498,7 @@ impl Learner<'_> {
             let wrist: [f64; 9] = std::array::from_fn(|i| f64::from(old[layout.wrist() + i]));
             let mode = Mode::new(&layout, self.scales, &out[k * width..(k + 1) * width]);
             loss += scale * mode.distance(&joints, &wrist, &inverse, &mut parts, &mut d);
-            slopes[k * width..].iter_mut().zip(&d).for_each(|(s, d)| *s += (scale * d) as f32);
+            derivatives[k * width..].iter_mut().zip(&d).for_each(|(s, d)| *s += (scale * d) as f32);
         }
         loss
     }

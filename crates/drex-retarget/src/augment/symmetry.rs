@@ -4,7 +4,7 @@ use std::f64::consts::TAU;
 
 use nalgebra::{Matrix3, Point3, SymmetricEigen, Unit, UnitQuaternion, Vector3};
 
-use crate::ObjectSurface;
+use drex_core::Object;
 
 /// Points on the surface that have to come to lie on it again.
 const POINTS: usize = 600;
@@ -19,13 +19,13 @@ const SAME_RAD: f64 = 0.25;
 
 /// Rotations about the centre of mass that move the surface of the object by at most `tolerance_m`, the identity first: those about
 /// the axes of inertia of its surface and about the axes of its frame, and what they make together.
-pub fn symmetries(object: &ObjectSurface<'_>, tolerance_m: f64) -> Vec<UnitQuaternion<f64>> {
+pub fn symmetries(object: &Object, tolerance_m: f64) -> Vec<UnitQuaternion<f64>> {
     let points = surface_points(object);
-    let center = object.center_of_mass;
+    let center = object.center_of_mass();
     let maps_onto_itself = |turn: &UnitQuaternion<f64>| {
         let on = |p: &&Point3<f64>| {
             let moved = center + turn * (*p - center);
-            object.exact.signed_distance(&moved).distance_m.abs() <= tolerance_m
+            object.geometry.exact().signed_distance(&moved).distance_m.abs() <= tolerance_m
         };
         points.iter().filter(on).count() as f64 >= SHARE * points.len() as f64
     };
@@ -64,8 +64,8 @@ fn contains(group: &[UnitQuaternion<f64>], turn: &UnitQuaternion<f64>) -> bool {
 }
 
 /// Points of the box around the object, brought onto its surface along the distance's gradient.
-fn surface_points(object: &ObjectSurface<'_>) -> Vec<Point3<f64>> {
-    let (lo, hi) = object.bounds;
+fn surface_points(object: &Object) -> Vec<Point3<f64>> {
+    let (lo, hi) = object.geometry.bounding_box();
     // Roberts' additive sequence in three dimensions.
     let steps = [0.819_172_513_396_164_4, 0.671_043_606_703_789_2, 0.549_700_477_901_970_7];
     let place = |i: usize| {
@@ -73,7 +73,7 @@ fn surface_points(object: &ObjectSurface<'_>) -> Vec<Point3<f64>> {
             Point3::from(Vector3::from_fn(|k, _| lo[k] + (hi[k] - lo[k]) * (0.5 + (i + 1) as f64 * steps[k]).fract()));
         let mut distance = f64::INFINITY;
         for _ in 0..3 {
-            let s = object.exact.signed_distance(&p);
+            let s = object.geometry.exact().signed_distance(&p);
             distance = s.distance_m;
             p -= s.gradient * distance;
         }

@@ -2,13 +2,13 @@
 
 use drex_core::{Pose, SdfSample, SignedDistance};
 use drex_demo::HumanFinger;
-use drex_grasp::{ContactOptions, HandSurface, LinkSurface};
-use drex_robot::{JointKind, Robot};
+use drex_grasp::{HandSurface, LinkSurface};
+use drex_robot::{Finger, JointKind, Robot};
 use nalgebra::{Point3, Vector3};
 
-use super::self_collision::CollisionShapes;
 use super::surface_points::SurfacePoints;
-use crate::{Error, LinkPoint, Result, TargetHand};
+use crate::self_collision::CollisionShapes;
+use crate::{Error, LinkPoint, Result, TargetFinger, TargetHand};
 
 /// Distance between points on the hand, metres: search and verdict.
 const SPACINGS_M: (f64, f64) = (0.005, 0.003);
@@ -29,10 +29,8 @@ pub(crate) struct GraspHand<'a> {
     pub(crate) thumb: usize,
     /// Per link, the joints that move it.
     pub(crate) movers: Vec<Vec<usize>>,
-    /// Collision shapes as they are, and for the search.
+    /// Collision shapes for the search.
     pub(crate) shapes: CollisionShapes,
-    pub(crate) filled_shapes: CollisionShapes,
-    pub(crate) contact: ContactOptions,
 }
 
 /// The part of a finger that is meant to touch.
@@ -54,9 +52,9 @@ pub(crate) struct Posed {
 }
 
 impl<'a> GraspHand<'a> {
-    pub(crate) fn new(target: &'a TargetHand, friction: f64, contact_gap_m: f64) -> Result<Self> {
+    pub(crate) fn new(target: &'a TargetHand) -> Result<Self> {
         let robot = &target.robot;
-        let fine = HandSurface::new(robot, SPACINGS_M.1)?;
+        let fine = HandSurface::with_fingers(robot, fingers(target), SPACINGS_M.1)?;
         let points = |l: usize| robot.surface_samples(l, SPACINGS_M.0).into_iter().map(|s| s.0);
         let search: Vec<SurfacePoints> = (0..robot.links.len()).map(|l| SurfacePoints::new(points(l))).collect();
         let Some(thumb) = target.fingers.iter().position(|f| f.human == HumanFinger::Thumb) else {
@@ -91,19 +89,7 @@ impl<'a> GraspHand<'a> {
         let movers = (0..robot.links.len())
             .map(|l| robot.path_to(l).into_iter().flat_map(|i| robot.links[i].joints.iter().copied()).collect())
             .collect();
-        let mut contact = ContactOptions::with_friction(friction);
-        contact.max_gap_m = contact_gap_m;
-        Ok(Self {
-            target,
-            search,
-            fine,
-            fingers,
-            thumb,
-            movers,
-            shapes: CollisionShapes::new(robot),
-            filled_shapes: CollisionShapes::filled(robot),
-            contact,
-        })
+        Ok(Self { target, search, fine, fingers, thumb, movers, shapes: CollisionShapes::new(robot) })
     }
 
     pub(crate) fn posed(&self, q: &[f64], object_from_base: &Pose) -> Posed {
@@ -143,6 +129,31 @@ impl Pad {
     pub(crate) fn tip(&self, posed: &Posed) -> Point3<f64> {
         posed.links[self.tip.link] * self.tip.point
     }
+}
+
+/// The fingers of the mapping, in its order: a link is of the finger with most joints on the way to it, of none if several have as many.
+fn fingers(target: &TargetHand) -> Vec<Finger> {
+    let robot = &target.robot;
+    let moved_by = |link: usize, joints: &[usize]| -> usize {
+        let path = robot.path_to(link);
+        path.iter().flat_map(|&l| &robot.links[l].joints).filter(|j| joints.contains(j)).count()
+    };
+    let owner = |link: usize| -> Option<usize> {
+        let counts: Vec<usize> = target.fingers.iter().map(|f| moved_by(link, &f.joints)).collect();
+        let most = counts.iter().copied().max().filter(|&n| n > 0)?;
+        let mut with_most = (0..counts.len()).filter(|&f| counts[f] == most);
+        with_most.next().filter(|_| with_most.next().is_none())
+    };
+    let owners: Vec<Option<usize>> = (0..robot.links.len()).map(owner).collect();
+    let finger = |(i, f): (usize, &TargetFinger)| Finger {
+        name: f.human.name().to_owned(),
+        links: (0..owners.len()).filter(|&l| owners[l] == Some(i)).collect(),
+        joints: f.joints.clone(),
+        tip_link: f.tip.link,
+        tip_point: f.tip.point,
+        is_thumb: f.human == HumanFinger::Thumb,
+    };
+    target.fingers.iter().enumerate().map(finger).collect()
 }
 
 fn nearest(parts: &[(usize, LinkSurface)], posed: &Posed, object: &dyn SignedDistance) -> (usize, Point3<f64>, f64) {

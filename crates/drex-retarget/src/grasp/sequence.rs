@@ -3,7 +3,7 @@
 //! Joint speeds bound how far apart two frames can be: every frame is solved within what the frames solved before it allow, on both
 //! sides (an interval per joint that is never empty), from its best frame outwards.
 
-use drex_core::{Pose, SignedDistance};
+use drex_core::{Object, Pose, SignedDistance};
 use drex_demo::{Demonstration, HumanFinger};
 use nalgebra::{Point3, Translation3, Vector3};
 
@@ -12,7 +12,6 @@ use super::goals::{self, Goals};
 use super::hand::GraspHand;
 use super::phases::GraspPhase;
 use super::terms::{Problem, View};
-use crate::ObjectSurface;
 use crate::levenberg_marquardt::{HandState, minimise};
 
 /// Effort: wrist alone, first solution, later solution.
@@ -59,7 +58,7 @@ struct Sequence<'a> {
 
 pub(crate) fn solve(
     hand: &GraspHand<'_>,
-    object: &ObjectSurface<'_>,
+    object: &Object,
     demo: &Demonstration,
     poses: &[Pose],
     references: &[HandState],
@@ -70,8 +69,8 @@ pub(crate) fn solve(
     let times = demo.frames.iter().map(|f| f.t_s).collect();
     let mut sequence = Sequence {
         hand,
-        object: object.search,
-        bounds: object.bounds,
+        object: &*object.geometry,
+        bounds: object.geometry.bounding_box(),
         poses,
         references,
         centers: centers(demo, poses, hand),
@@ -108,7 +107,7 @@ pub(crate) fn solve(
 /// Solves a grasp on its own that begins at `start` and stays close to it.
 pub(crate) fn single(
     hand: &GraspHand<'_>,
-    object: &ObjectSurface<'_>,
+    object: &Object,
     start: &HandState,
     mut target_weights: Vec<f64>,
     options: &GraspOptions,
@@ -117,13 +116,13 @@ pub(crate) fn single(
     let posed = hand.posed(&start.q, &start.object_from_base);
     let tips: Vec<Point3<f64>> = hand.fingers.iter().map(|p| p.tip(&posed)).collect();
     let middle = middle(&tips, hand.thumb);
-    let Goals { points: goals, reached, .. } = goals::goals(object.search, middle, &tips, hand.thumb);
+    let Goals { points: goals, reached, .. } = goals::goals(&*object.geometry, middle, &tips, hand.thumb);
     drop_unreachable(hand, options, &reached, &mut target_weights);
     let mut state = start.clone();
     let problem = Problem {
         hand,
-        object: object.search,
-        bounds: &object.bounds,
+        object: &*object.geometry,
+        bounds: &object.geometry.bounding_box(),
         reference: start,
         target_weights: &target_weights,
         goals: &goals,
@@ -332,9 +331,9 @@ impl Sequence<'_> {
 
     /// Whether enough fingers are on the surface and do not slip.
     fn good(&self, view: &View) -> bool {
-        let on = |f: usize| view.gaps[f] < GOOD_M && view.tip_gaps[f] < self.options.contact_gap_m;
+        let on = |f: usize| view.gaps[f] < GOOD_M && view.tip_gaps[f] < self.options.limits.touch_gap_m;
         let others = (0..view.gaps.len()).filter(|&f| f != self.hand.thumb && on(f)).count();
-        view.upright > UPRIGHT && on(self.hand.thumb) && others >= self.options.min_fingers
+        view.upright > UPRIGHT && on(self.hand.thumb) && others >= self.options.limits.min_fingers
     }
 
     /// Whether the state is well within what an accepted frame may be away from the human hand.
@@ -353,7 +352,7 @@ impl Sequence<'_> {
             (0..target_weights.len()).filter(|&f| f != self.hand.thumb && target_weights[f] > 0.0).collect();
         others.sort_by(|&a, &b| miss(a).total_cmp(&miss(b)));
         for (rank, f) in others.into_iter().enumerate() {
-            if rank >= self.options.min_fingers && miss(f) > LETS_GO_M {
+            if rank >= self.options.limits.min_fingers && miss(f) > LETS_GO_M {
                 target_weights[f] = 0.0;
             }
         }
@@ -369,7 +368,7 @@ fn score(view: &View) -> f64 {
 fn drop_unreachable(hand: &GraspHand<'_>, options: &GraspOptions, reached: &[bool], target_weights: &mut [f64]) {
     let takes_part = |f: usize| f != hand.thumb && target_weights[f] > 0.0;
     let left = (0..target_weights.len()).filter(|&f| takes_part(f) && reached[f]).count();
-    if left >= options.min_fingers {
+    if left >= options.limits.min_fingers {
         for f in (0..target_weights.len()).filter(|&f| f != hand.thumb && !reached[f]) {
             target_weights[f] = 0.0;
         }

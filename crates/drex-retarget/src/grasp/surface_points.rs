@@ -1,5 +1,6 @@
 //! Points on a link, searched in few look-ups of the object's distance.
 
+use crate::self_collision::ball;
 use drex_core::{Pose, SdfSample, SignedDistance};
 use drex_robot::Shape;
 use nalgebra::{Point3, Vector3};
@@ -133,14 +134,6 @@ impl SurfacePoints {
         }
         best.1
     }
-}
-
-/// Centre of the bounding box and the furthest point from it.
-pub(crate) fn ball(points: &[Point3<f64>]) -> (Point3<f64>, f64) {
-    let Some(first) = points.first() else { return (Point3::origin(), 0.0) };
-    let (lo, hi) = points.iter().fold((*first, *first), |(lo, hi), p| (lo.inf(p), hi.sup(p)));
-    let center = nalgebra::center(&lo, &hi);
-    (center, points.iter().map(|p| (p - center).norm()).fold(0.0, f64::max))
 }
 
 /// Distance of a point from a box, a cheap lower bound of the distance from what is in it.

@@ -4,9 +4,9 @@ use drex_core::{SdfSample, SignedDistance};
 use nalgebra::{DMatrix, DVector, Point3, Vector3};
 
 use super::hand::{GraspHand, Posed};
-use super::self_collision::LinkProximity;
 use super::surface_points::CellBound;
 use crate::levenberg_marquardt::{HandState, LeastSquares, Schedule};
+use crate::self_collision::{CLEARANCE_M, LinkProximity};
 
 /// One residual unit of each kind: metres, radians.
 const GAP_M: f64 = 0.001;
@@ -14,8 +14,6 @@ const TIP_M: f64 = 0.0004;
 const THUMB_TIP_M: f64 = 0.00025;
 const PENETRATION_M: f64 = 0.00012;
 const COLLISION_M: f64 = 0.0002;
-/// Links keep these distances from the object and from each other while searching, metres.
-const COLLISION_CLEARANCE_M: f64 = 0.0015;
 /// Pads aim to be this far inside, metres: on the surface for any measure.
 const PRESS_M: f64 = 0.0;
 /// The point of the fingertip may be this far from the surface before it is drawn there, metres.
@@ -249,12 +247,12 @@ impl LeastSquares for Problem<'_> {
         view.bounds = bounds;
         if self.joints_move {
             let mut close = std::mem::take(&mut view.close);
-            hand.filled_shapes.proximities(&posed.links, COLLISION_CLEARANCE_M, &mut close);
+            hand.shapes.proximities(&posed.links, CLEARANCE_M, &mut close);
             for c in &close {
                 let n = c.normal / COLLISION_M;
                 view.deepest_m = view.deepest_m.max(-c.distance_m);
                 view.push(
-                    (c.distance_m - COLLISION_CLEARANCE_M) / COLLISION_M,
+                    (c.distance_m - CLEARANCE_M) / COLLISION_M,
                     [(c.links.0, c.point, n), (c.links.1, c.point, -n)],
                 );
             }

@@ -1,11 +1,12 @@
 //! What the fit needs to know of a hand, worked out once from the model: where the pads are and which way they press.
 
 use drex_core::{Pose, SignedDistance};
-use drex_grasp::{ContactOptions, HandSurface, LinkSurface};
+use drex_grasp::{HandSurface, LinkSurface};
 use drex_robot::Robot;
 use nalgebra::{Point3, Vector3};
 
 use super::WristFitOptions;
+use crate::self_collision::CollisionShapes;
 use crate::{Error, Result};
 
 /// A hand prepared for fitting.
@@ -18,7 +19,7 @@ pub(crate) struct HandModel<'a> {
     /// Pads of each finger on the rough and on the fine surface.
     pub(crate) pads: [Vec<Pad>; 2],
     pub(crate) thumb: usize,
-    pub(crate) contact: ContactOptions,
+    pub(crate) shapes: CollisionShapes,
 }
 
 /// The points of one finger that may press on an object, by link.
@@ -63,10 +64,11 @@ impl<'a> HandModel<'a> {
                 "use the model of a hand; name the thumb's links thumb_*",
             ));
         };
-        if fine.fingers.len() <= options.min_fingers {
+        let (others, needed) = (fine.fingers.len() - 1, options.limits.min_fingers);
+        if others < needed {
             return Err(Error::value(
-                format!("robot \"{}\" has {} fingers beside the thumb", robot.name, fine.fingers.len() - 1),
-                "lower min_fingers",
+                format!("robot \"{}\" has {others} fingers beside the thumb; a grasp takes {needed}", robot.name),
+                "lower limits.min_fingers",
             ));
         }
         let pads = [&rough, &fine].map(|surface| pads(robot, surface));
@@ -81,10 +83,7 @@ impl<'a> HandModel<'a> {
                 ));
             }
         }
-        let mut contact = ContactOptions::with_friction(options.friction);
-        contact.max_gap_m = options.contact_gap_m;
-        contact.spacing_m = options.spacings_m.1;
-        Ok(Self { robot, rough, fine, pads, thumb, contact })
+        Ok(Self { robot, rough, fine, pads, thumb, shapes: CollisionShapes::new(robot) })
     }
 
     /// Clips a recorded grasp to the joint limits.
@@ -119,10 +118,6 @@ impl<'a> HandModel<'a> {
 
 fn check(options: &WristFitOptions) -> Result<()> {
     let ok = options.max_finger_correction_rad >= 0.0
-        && options.max_penetration_m >= 0.0
-        && options.contact_gap_m >= 0.0
-        && options.friction >= 0.0
-        && options.min_fingers >= 1
         && options.initial_guesses >= 1
         && options.kept.0 >= 1
         && options.kept.1 >= 1;
@@ -131,7 +126,7 @@ fn check(options: &WristFitOptions) -> Result<()> {
     } else {
         Err(Error::value(
             format!("the options of the wrist fit make no sense: {options:?}"),
-            "give lengths and angles of zero or more, and at least one finger, initial guess and kept guess",
+            "give lengths and angles of zero or more, and at least one initial guess and kept guess",
         ))
     }
 }

@@ -26,7 +26,7 @@ pub(crate) fn initial_guesses(problem: &Problem<'_>) -> Vec<HandState> {
     let mut rng = ChaCha8Rng::seed_from_u64(problem.options.seed);
     let shift: [f64; 6] = std::array::from_fn(|_| rng.random());
     let frame = HandFrame::new(problem);
-    let (lo, hi) = problem.object.bounds;
+    let (lo, hi) = problem.bounds;
     let (center, half) = (nalgebra::center(&lo, &hi), (hi - lo) / 2.0);
     let up = problem.table.up.into_inner();
     (0..problem.options.initial_guesses)

@@ -3,13 +3,14 @@
 //! Every residual is in units of "a millimetre of gap". Points are chosen anew at each evaluation (the nearest point of a pad,
 //! the deepest of a link, the lowest of a link): minima over fixed points, hence piecewise smooth.
 
-use drex_core::{Pose, TablePlane};
+use drex_core::{Object, Pose, TablePlane};
 use drex_grasp::HandSurface;
 use nalgebra::{DMatrix, DVector, Matrix3, Point3, Vector3};
 
 use super::hand::Recorded;
-use super::{HandModel, ObjectSurface, WristFitOptions};
+use super::{HandModel, WristFitOptions};
 use crate::levenberg_marquardt::{HandState, LeastSquares, Schedule};
+use crate::self_collision::{CLEARANCE_M, LinkProximity};
 
 /// One residual unit of gap, of penetration, and of height below the table, metres.
 const GAP_M: f64 = 0.001;
@@ -37,8 +38,10 @@ const CURVATURE_STEP_M: f64 = 0.002;
 #[derive(Clone, Copy)]
 pub(crate) struct Problem<'a> {
     pub(crate) hand: &'a HandModel<'a>,
-    pub(crate) object: &'a ObjectSurface<'a>,
-    pub(crate) table: &'a TablePlane,
+    pub(crate) object: &'a Object,
+    pub(crate) table: TablePlane,
+    /// Lower and upper corner of the object's bounding box, metres.
+    pub(crate) bounds: (Point3<f64>, Point3<f64>),
     pub(crate) options: &'a WristFitOptions,
     pub(crate) recorded: &'a Recorded,
     pub(crate) stage: Stage,
@@ -79,6 +82,8 @@ pub(crate) struct View {
     pads: Vec<Active>,
     /// Deepest point of each link that is inside.
     inside: Vec<Active>,
+    /// Links inside each other, or nearly.
+    close: Vec<LinkProximity>,
     /// Lowest points under the margin: link, point, height over the table.
     low: Vec<(usize, Point3<f64>, f64)>,
 }
@@ -106,7 +111,7 @@ impl LeastSquares for Problem<'_> {
     }
 
     fn pivot(&self, _: &View) -> Point3<f64> {
-        self.object.center_of_mass
+        self.object.center_of_mass()
     }
 
     fn intervals(&self) -> &[(f64, f64)] {
@@ -148,7 +153,7 @@ pub(crate) fn nearest_fingers(problem: &Problem<'_>, state: &HandState) -> u32 {
     others.sort_by(|&a, &b| view.pads[a].distance.abs().total_cmp(&view.pads[b].distance.abs()));
     let mut set = 1_u32 << problem.hand.thumb;
     for (rank, &finger) in others.iter().enumerate() {
-        if rank < problem.options.min_fingers || view.pads[finger].distance.abs() < 0.5 * FADE_M {
+        if rank < problem.options.limits.min_fingers || view.pads[finger].distance.abs() < 0.5 * FADE_M {
             set |= 1 << finger;
         }
     }
@@ -163,7 +168,7 @@ impl View {
             Stage::Final { .. } => (&hand.fine, &hand.pads[1]),
         };
         let poses = hand.robot.forward_kinematics(&state.q, &state.object_from_base);
-        let sdf = problem.object.search;
+        let sdf = &*problem.object.geometry;
         let active = |link: usize, point: Point3<f64>, distance: f64| Active {
             link,
             point,
@@ -175,10 +180,10 @@ impl View {
         let mut inside = Vec::new();
         let mut low = Vec::new();
         let up = problem.table.up.into_inner();
-        let floor = problem.table.height_m + problem.options.min_table_clearance_m + TABLE_MARGIN_M;
+        let floor = problem.table.height_m + problem.options.limits.min_table_clearance_m + TABLE_MARGIN_M;
         for (link, (part, pose)) in surface.links.iter().zip(&poses).enumerate() {
             let (center, radius) = part.ball();
-            if box_distance(problem.object.bounds, &(pose * center)) < radius
+            if box_distance(problem.bounds, &(pose * center)) < radius
                 && let Some((i, distance)) = part.nearest(pose, sdf, 0.0)
             {
                 inside.push(active(link, pose * part.samples()[i].0, distance));
@@ -187,7 +192,9 @@ impl View {
                 low.push((link, pose * part.samples()[i].0, height - floor));
             }
         }
-        Self { poses, pads, inside, low }
+        let mut close = Vec::new();
+        hand.shapes.proximities(&poses, CLEARANCE_M, &mut close);
+        Self { poses, pads, inside, close, low }
     }
 }
 
@@ -216,6 +223,14 @@ pub(crate) fn residuals(
         r.push(a.distance / PENETRATION_M);
         if let Some(rows) = rows.as_deref_mut() {
             rows.push(motion(a.link, &a.point).tr_mul(&a.gradient) / PENETRATION_M);
+        }
+    }
+    // No link in another.
+    for c in &view.close {
+        r.push((c.distance_m - CLEARANCE_M) / PENETRATION_M);
+        if let Some(rows) = rows.as_deref_mut() {
+            let apart = motion(c.links.0, &c.point) - motion(c.links.1, &c.point);
+            rows.push(apart.tr_mul(&c.normal) / PENETRATION_M);
         }
     }
     // Nothing below the table.
@@ -334,7 +349,7 @@ pub(crate) fn pushed_away(problem: &Problem<'_>, state: &HandState, fingers: u32
 
 /// Derivative of the gradient of the distance, by central differences.
 fn curvature(problem: &Problem<'_>, point: &Point3<f64>) -> Matrix3<f64> {
-    let sdf = problem.object.search;
+    let sdf = &*problem.object.geometry;
     let columns = [0, 1, 2].map(|k| {
         let step = Vector3::ith(k, CURVATURE_STEP_M);
         (sdf.signed_distance(&(point + step)).gradient - sdf.signed_distance(&(point - step)).gradient)

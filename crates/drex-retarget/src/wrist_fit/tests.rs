@@ -1,11 +1,13 @@
 //! Derivatives of the residuals against finite differences, and where the pads are.
 
-use drex_core::{SdfSample, SignedDistance, TablePlane};
+use std::sync::Arc;
+
+use drex_core::{MassProperties, Object, SdfSample, SignedDistance, SolidGeometry, TablePlane};
 use drex_robot::Robot;
-use nalgebra::{DVector, Isometry3, Point3, Translation3, UnitQuaternion, Vector3};
+use nalgebra::{DVector, Isometry3, Matrix3, Point3, Translation3, UnitQuaternion, Vector3};
 
 use super::residuals::{Problem, Stage, View, linearised, residuals};
-use super::{HandModel, ObjectSurface, WristFitOptions};
+use super::{HandModel, WristFitOptions};
 use crate::levenberg_marquardt::HandState;
 
 /// An ellipsoid's distance to first order: smooth, with curvature.
@@ -16,6 +18,17 @@ impl SignedDistance for Ball {
     }
 }
 
+impl SolidGeometry for Ball {
+    fn exact(&self) -> &dyn SignedDistance {
+        self
+    }
+
+    fn bounding_box(&self) -> (Point3<f64>, Point3<f64>) {
+        let corner = Point3::new(0.04, 0.04, 0.04);
+        (-corner, corner)
+    }
+}
+
 #[test]
 fn the_derivatives_are_those_of_the_residuals() {
     for name in ["leap_right", "allegro_right"] {
@@ -23,14 +36,15 @@ fn the_derivatives_are_those_of_the_residuals() {
         let options = WristFitOptions::default();
         let hand = HandModel::new(&robot, &options).unwrap();
         let recorded = hand.recorded_within(&robot.mid_range(), 0.15).unwrap();
-        let corner = Point3::new(0.04, 0.04, 0.04);
-        let object =
-            ObjectSurface { search: &Ball, exact: &Ball, bounds: (-corner, corner), center_of_mass: Point3::origin() };
+        let body = MassProperties { mass_kg: 0.2, center_of_mass: Point3::origin(), inertia: Matrix3::identity() };
+        let mut object = Object::of_parts(Vec::new(), body);
+        object.geometry = Arc::new(Ball);
         let table = TablePlane { up: Vector3::z_axis(), height_m: -0.04 };
         let rough = Problem {
             hand: &hand,
             object: &object,
-            table: &table,
+            table,
+            bounds: Ball.bounding_box(),
             options: &options,
             recorded: &recorded,
             stage: Stage::Rough,
@@ -67,7 +81,7 @@ fn check(problem: &Problem<'_>, state: &HandState) -> usize {
         let step = |sign: f64| {
             let mut s = DVector::zeros(j.ncols());
             s[column] = sign * h;
-            let next = state.moved(&s, &problem.object.center_of_mass, &problem.recorded.intervals);
+            let next = state.moved(&s, &problem.object.center_of_mass(), &problem.recorded.intervals);
             residuals(problem, &next, &View::new(problem, &next), None)
         };
         let (plus, minus) = (step(1.0), step(-1.0));

@@ -3,49 +3,28 @@
 use std::path::{Path, PathBuf};
 
 use drex_core::mesh::convex_hull;
-use drex_core::{Pose, TriMesh};
+use drex_core::{Object, Pose, TriMesh};
 use drex_demo::{Demonstration, HandFrame, KEYPOINTS, KeyPoints, LoadOptions, transformed};
-use drex_mesh::{GridOptions, GridSdf, MeshSdf, read_mesh, solid_properties};
+use drex_mesh::{GridOptions, read_mesh, solid_object};
 use drex_retarget::*;
 use nalgebra::{Isometry3, Matrix3, Point3, Rotation3, Translation3, UnitQuaternion, Vector3};
 
-/// An object with its distances.
-struct Thing {
-    grid: GridSdf,
-    exact: MeshSdf,
-    bounds: (Point3<f64>, Point3<f64>),
-    com: Point3<f64>,
+/// On a coarse grid, which is quick to make.
+pub fn thing(mesh: &TriMesh) -> Object {
+    let mut options = GridOptions::default();
+    options.nodes = 40 * 40 * 40;
+    options.margin_m = Some(0.05);
+    solid_object("thing", mesh, &options).unwrap()
 }
 
-impl Thing {
-    /// On a coarse grid, which is quick to make.
-    fn new(mesh: &TriMesh) -> Self {
-        let mut options = GridOptions::default();
-        options.nodes = 40 * 40 * 40;
-        options.margin_m = Some(0.05);
-        Self::on(mesh, &options)
-    }
-
-    fn on(mesh: &TriMesh, options: &GridOptions) -> Self {
-        let exact = MeshSdf::new(mesh).unwrap();
-        let grid = GridSdf::with_options(exact.clone(), options).unwrap();
-        let com = solid_properties(mesh).unwrap().properties.center_of_mass;
-        Self { grid, exact, bounds: mesh.bounds().unwrap(), com }
-    }
-
-    fn surface(&self) -> ObjectSurface<'_> {
-        ObjectSurface { search: &self.grid, exact: &self.exact, bounds: self.bounds, center_of_mass: self.com }
-    }
-}
-
-fn cuboid(x: f64, y: f64, z: f64) -> TriMesh {
+pub fn cuboid(x: f64, y: f64, z: f64) -> TriMesh {
     let corners: Vec<Point3<f64>> =
         (0..8).map(|i| Point3::new([-x, x][i & 1], [-y, y][i >> 1 & 1], [-z, z][i >> 2])).collect();
     convex_hull(&corners).unwrap()
 }
 
 /// Along y.
-fn cylinder(radius: f64, half: f64) -> TriMesh {
+pub fn cylinder(radius: f64, half: f64) -> TriMesh {
     let ring = |i: usize, z: f64| {
         let a = std::f64::consts::TAU * i as f64 / 48.0;
         Point3::new(radius * a.cos(), z, radius * a.sin())
@@ -86,7 +65,7 @@ fn bent(target: &TargetHand, part: f64) -> Vec<f64> {
 }
 
 /// A person reaches for a thing, closes the hand around it and lifts it. Its x axis points from the thumb to the fingers.
-fn lift(target: &TargetHand, size: f64) -> Demonstration {
+pub fn lift(target: &TargetHand, size: f64) -> Demonstration {
     let closed = person(target, &bent(target, 0.9), size);
     let thumb = closed[4].unwrap();
     let fingers = nalgebra::center(&closed[8].unwrap(), &closed[16].unwrap());
@@ -122,7 +101,7 @@ fn phases(frame: &GraspFrame) -> bool {
 fn keeps_the_limits(target: &TargetHand, clip: &GraspRetargeting) {
     for (t, frame) in clip.frames.iter().enumerate() {
         assert!(frame.joint_speed_rad_s <= 8.5, "frame {t}: {} rad/s", frame.joint_speed_rad_s);
-        for (q, joint) in frame.q.iter().zip(&target.robot.joints) {
+        for (q, joint) in frame.grasp.joints_rad.iter().zip(&target.robot.joints) {
             let (lo, hi) = joint.limits.unwrap();
             assert!((lo..=hi).contains(q), "frame {t}: {} is {q}", joint.name);
         }
@@ -134,9 +113,9 @@ fn a_lifted_thing_is_held() {
     for name in ["leap_right", "allegro_right"] {
         let target = TargetHand::bundled(name).unwrap();
         for (what, mesh) in [("box", cuboid(0.03, 0.08, 0.06)), ("cylinder", cylinder(0.033, 0.09))] {
-            let thing = Thing::new(&mesh);
+            let thing = thing(&mesh);
             let demo = lift(&target, 0.75);
-            let clip = retarget_grasp(&demo, &target, &thing.surface(), &GraspOptions::default()).unwrap();
+            let clip = retarget_grasp(&demo, &target, &thing, &GraspOptions::default()).unwrap();
             keeps_the_limits(&target, &clip);
             assert_eq!(clip.frames.len(), demo.frames.len());
             // It moves from frame 12 on.
@@ -145,14 +124,14 @@ fn a_lifted_thing_is_held() {
             let share = moving.iter().filter(|f| phases(f)).count() as f64 / moving.len() as f64;
             assert!(share >= 0.8, "{name} {what}: held in {share:.2} of the frames");
             for f in moving {
-                assert!(f.penetration_mm <= 2.0, "{name} {what}: {} mm deep", f.penetration_mm);
+                assert!(f.evaluation.penetration_mm <= 2.0, "{name} {what}: {} mm deep", f.evaluation.penetration_mm);
                 assert!(
-                    f.self_collision.as_ref().is_none_or(|c| c.depth_mm < 1.0),
+                    f.evaluation.self_collision.as_ref().is_none_or(|c| c.depth_mm < 1.0),
                     "{name} {what}: {:?}",
-                    f.self_collision
+                    f.evaluation.self_collision
                 );
             }
-            let closed = moving.iter().filter(|f| f.force_closure).count();
+            let closed = moving.iter().filter(|f| f.evaluation.force_closure).count();
             assert!(2 * closed >= moving.len(), "{name} {what}: force closure in {closed} of {}", moving.len());
         }
     }
@@ -161,18 +140,18 @@ fn a_lifted_thing_is_held() {
 #[test]
 fn without_an_object_at_hand_it_is_the_vector_result() {
     let target = TargetHand::bundled("allegro_right").unwrap();
-    let thing = Thing::new(&cuboid(0.03, 0.04, 0.05));
+    let thing = thing(&cuboid(0.03, 0.04, 0.05));
     let mut demo = lift(&target, 0.75);
     for frame in &mut demo.frames {
         frame.source_from_object = Some(Isometry3::translation(3.0, 0.0, 0.0));
     }
     let plain = retarget(&demo, &target, &RetargetOptions::default()).unwrap();
-    let clip = retarget_grasp(&demo, &target, &thing.surface(), &GraspOptions::default()).unwrap();
+    let clip = retarget_grasp(&demo, &target, &thing, &GraspOptions::default()).unwrap();
     for (a, b) in clip.frames.iter().zip(&plain.frames) {
         assert!(!a.held);
-        let most = a.q.iter().zip(&b.q).map(|(x, y)| (x - y).abs()).fold(0.0, f64::max);
-        assert!(a.self_collision.is_some() || a.joint_speed_rad_s > 8.0 || most < 0.02, "{most} rad away");
-        assert!(a.penetration_mm == 0.0);
+        let most = a.grasp.joints_rad.iter().zip(&b.q).map(|(x, y)| (x - y).abs()).fold(0.0, f64::max);
+        assert!(a.evaluation.self_collision.is_some() || a.joint_speed_rad_s > 8.0 || most < 0.02, "{most} rad away");
+        assert!(a.evaluation.penetration_mm == 0.0);
     }
     keeps_the_limits(&target, &clip);
 }
@@ -189,47 +168,47 @@ fn every_cut_of_a_clip_is_retargeted() {
     // The larger box is one that the hand cannot get out of: there the frames beside a free one are asked for help.
     for (hand, size) in [("leap_right", 1.0), ("leap_right", 2.5), ("allegro_right", 2.5)] {
         let target = TargetHand::bundled(hand).unwrap();
-        let thing = Thing::new(&cuboid(0.03 * size, 0.08 * size, 0.06 * size));
+        let thing = thing(&cuboid(0.03 * size, 0.08 * size, 0.06 * size));
         let demo = lift(&target, 0.75);
         let n = demo.frames.len();
         let cuts = (1..=3).flat_map(|len| (0..=n - len).map(move |from| (from, from + len)));
         for (from, to) in cuts.chain([(0, n - 1), (1, n), (5, 16), (9, 15)]) {
             let part = cut(&demo, from, to);
-            let clip = retarget_grasp(&part, &target, &thing.surface(), &GraspOptions::default()).unwrap();
+            let clip = retarget_grasp(&part, &target, &thing, &GraspOptions::default()).unwrap();
             assert_eq!(clip.frames.len(), to - from, "{hand}, frames {from} to {to}");
             keeps_the_limits(&target, &clip);
         }
     }
     let target = TargetHand::bundled("leap_right").unwrap();
-    let thing = Thing::new(&cuboid(0.03, 0.08, 0.06));
+    let thing = thing(&cuboid(0.03, 0.08, 0.06));
     let empty = cut(&lift(&target, 0.75), 0, 0);
-    let error = retarget_grasp(&empty, &target, &thing.surface(), &GraspOptions::default()).unwrap_err();
+    let error = retarget_grasp(&empty, &target, &thing, &GraspOptions::default()).unwrap_err();
     assert!(error.to_string().contains("pose of the object"), "{error}");
 }
 
 #[test]
 fn what_is_missing_is_said() {
     let target = TargetHand::bundled("leap_right").unwrap();
-    let thing = Thing::new(&cuboid(0.03, 0.04, 0.05));
+    let thing = thing(&cuboid(0.03, 0.04, 0.05));
     let mut demo = lift(&target, 0.75);
     let mut options = GraspOptions::default();
     options.max_joint_speed = 0.0;
-    let error = retarget_grasp(&demo, &target, &thing.surface(), &options).unwrap_err().to_string();
+    let error = retarget_grasp(&demo, &target, &thing, &options).unwrap_err().to_string();
     assert!(error.contains("max_joint_speed"), "{error}");
     demo.frames.iter_mut().for_each(|f| f.source_from_object = None);
-    let error = retarget_grasp(&demo, &target, &thing.surface(), &GraspOptions::default()).map(|_| ()).unwrap_err();
+    let error = retarget_grasp(&demo, &target, &thing, &GraspOptions::default()).map(|_| ()).unwrap_err();
     assert!(error.to_string().contains("pose of the object"), "{error}");
 }
 
 #[test]
 fn an_object_that_is_hidden_for_a_while_moves_on_between() {
     let target = TargetHand::bundled("leap_right").unwrap();
-    let thing = Thing::new(&cuboid(0.03, 0.04, 0.05));
+    let thing = thing(&cuboid(0.03, 0.04, 0.05));
     let mut demo = lift(&target, 0.75);
-    let whole = retarget_grasp(&demo, &target, &thing.surface(), &GraspOptions::default()).unwrap();
+    let whole = retarget_grasp(&demo, &target, &thing, &GraspOptions::default()).unwrap();
     let hidden = [0, 7, demo.frames.len() - 1];
     hidden.iter().for_each(|&t| demo.frames[t].source_from_object = None);
-    let clip = retarget_grasp(&demo, &target, &thing.surface(), &GraspOptions::default()).unwrap();
+    let clip = retarget_grasp(&demo, &target, &thing, &GraspOptions::default()).unwrap();
     for (t, (a, b)) in clip.frames.iter().zip(&whole.frames).enumerate() {
         assert_eq!(a.flags.contains(&drex_demo::FrameFlag::ObjectNotSeen), hidden.contains(&t));
         assert_eq!(a.held, b.held, "frame {t}");
@@ -239,7 +218,7 @@ fn an_object_that_is_hidden_for_a_while_moves_on_between() {
 #[test]
 fn hostile_key_points_do_not_panic() {
     let target = TargetHand::bundled("leap_right").unwrap();
-    let thing = Thing::new(&cuboid(0.03, 0.04, 0.05));
+    let thing = thing(&cuboid(0.03, 0.04, 0.05));
     let mut demo = lift(&target, 0.75);
     for (t, frame) in demo.frames.iter_mut().enumerate() {
         for k in 0..KEYPOINTS {
@@ -251,7 +230,7 @@ fn hostile_key_points_do_not_panic() {
             }
         }
     }
-    let clip = retarget_grasp(&demo, &target, &thing.surface(), &GraspOptions::default()).unwrap();
+    let clip = retarget_grasp(&demo, &target, &thing, &GraspOptions::default()).unwrap();
     keeps_the_limits(&target, &clip);
     assert!(clip.frames.iter().any(|f| !f.flags.is_empty()));
 }
@@ -259,16 +238,15 @@ fn hostile_key_points_do_not_panic() {
 #[test]
 fn one_lift_gives_many_grasps_and_always_the_same() {
     let target = TargetHand::bundled("allegro_right").unwrap();
-    let thing = Thing::new(&cuboid(0.03, 0.08, 0.06));
-    let object = thing.surface();
-    let symmetries = symmetries(&object, 0.001);
+    let thing = thing(&cuboid(0.03, 0.08, 0.06));
+    let symmetries = symmetries(&thing, 0.001);
     assert_eq!(symmetries.len(), 4, "a box with three different edges has three half turns");
     let demo = lift(&target, 0.75);
     let run = |threads: usize| {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
         pool.install(|| {
-            let clip = retarget_grasp(&demo, &target, &object, &GraspOptions::default()).unwrap();
-            let many = augment(&clip, &target, &object, &AugmentOptions::default(), 40).unwrap();
+            let clip = retarget_grasp(&demo, &target, &thing, &GraspOptions::default()).unwrap();
+            let many = augment(&clip, &target, &thing, &AugmentOptions::default(), 40).unwrap();
             (clip.frames, many)
         })
     };
@@ -276,7 +254,7 @@ fn one_lift_gives_many_grasps_and_always_the_same() {
     assert_eq!((frames, many.clone()), run(3));
     assert_eq!(many.grasps.len(), 40, "{} attempts, {} accepted", many.attempts, many.accepted);
     for g in &many.grasps {
-        assert!(g.grasp.is_accepted() && g.grasp.force_closure && phases(&g.grasp) && g.symmetry < 4);
+        assert!(g.grasp.is_accepted() && g.grasp.evaluation.force_closure && phases(&g.grasp) && g.symmetry < 4);
     }
     let used: std::collections::BTreeSet<usize> = many.grasps.iter().map(|g| g.symmetry).collect();
     assert!(used.len() > 1, "only {used:?}");
@@ -284,13 +262,13 @@ fn one_lift_gives_many_grasps_and_always_the_same() {
 
 #[test]
 fn a_cylinder_turns_about_its_axis_and_a_wedge_does_not_at_all() {
-    let round = Thing::new(&cylinder(0.03, 0.08));
-    assert!(symmetries(&round.surface(), 0.001).len() >= 12);
+    let round = thing(&cylinder(0.03, 0.08));
+    assert!(symmetries(&round, 0.001).len() >= 12);
     let mut corners = cuboid(0.03, 0.05, 0.08).vertices;
     corners[0] = Point3::origin();
     corners[3] = Point3::new(0.01, 0.02, 0.0);
-    let wedge = Thing::new(&convex_hull(&corners).unwrap());
-    assert_eq!(symmetries(&wedge.surface(), 0.001).len(), 1);
+    let wedge = thing(&convex_hull(&corners).unwrap());
+    assert_eq!(symmetries(&wedge, 0.001).len(), 1);
 }
 
 /// The folder of recordings, or the remark that there is none.
@@ -308,19 +286,23 @@ fn demands(demo: &Path, mesh: &Path, hand: &str, frames: &[std::ops::RangeInclus
     let target = TargetHand::bundled(hand).unwrap();
     let mut grid = GridOptions::default();
     grid.margin_m = Some(0.1);
-    let thing = Thing::on(&convex_hull(&read_mesh(mesh).unwrap().vertices).unwrap(), &grid);
+    let thing = solid_object("thing", &convex_hull(&read_mesh(mesh).unwrap().vertices).unwrap(), &grid).unwrap();
     let demo = Demonstration::load(demo, &LoadOptions::default()).unwrap();
-    let clip = retarget_grasp(&demo, &target, &thing.surface(), &GraspOptions::default()).unwrap();
+    let clip = retarget_grasp(&demo, &target, &thing, &GraspOptions::default()).unwrap();
     keeps_the_limits(&target, &clip);
     let used: Vec<&GraspFrame> = frames.iter().cloned().flatten().map(|t| &clip.frames[t]).collect();
     let share = |rule: &dyn Fn(&GraspFrame) -> bool| used.iter().filter(|f| rule(f)).count() as f64 / used.len() as f64;
     let mean = |value: &dyn Fn(&GraspFrame) -> f64| used.iter().map(|f| value(f)).sum::<f64>() / used.len() as f64;
     assert!(share(&phases) >= 0.8, "{hand}: held in {:.2}", share(&phases));
-    assert!(share(&|f| f.penetration_mm <= 2.0) >= clean, "{hand}: penetration");
-    assert!(share(&|f| f.self_collision.is_none()) >= clean, "{hand}: self-collision");
+    assert!(share(&|f| f.evaluation.penetration_mm <= 2.0) >= clean, "{hand}: penetration");
+    assert!(share(&|f| f.evaluation.self_collision.is_none()) >= clean, "{hand}: self-collision");
     assert!(mean(&|f| f.mean_joint_distance_rad) <= 0.35, "{hand}: {} rad", mean(&|f| f.mean_joint_distance_rad));
     assert!(mean(&|f| f.wrist_shift_mm) <= 120.0, "{hand}: {} mm", mean(&|f| f.wrist_shift_mm));
-    assert!(share(&|f| f.force_closure) >= 0.6, "{hand}: force closure in {:.2}", share(&|f| f.force_closure));
+    assert!(
+        share(&|f| f.evaluation.force_closure) >= 0.6,
+        "{hand}: force closure in {:.2}",
+        share(&|f| f.evaluation.force_closure)
+    );
 }
 
 #[test]
@@ -336,12 +318,12 @@ fn a_recorded_box_is_held() {
 fn every_pair_of_frames_of_a_recorded_box_is_retargeted() {
     let Some(shared) = shared() else { return };
     let folder = shared.join("data/grasps/dexycb_cracker_box");
-    let thing = Thing::new(&convex_hull(&read_mesh(&folder.join("object.obj")).unwrap().vertices).unwrap());
+    let thing = thing(&convex_hull(&read_mesh(&folder.join("object.obj")).unwrap().vertices).unwrap());
     let demo = Demonstration::load(&folder.join("demo.json"), &LoadOptions::default()).unwrap();
     for hand in ["leap_right", "allegro_right"] {
         let target = TargetHand::bundled(hand).unwrap();
         for from in 0..demo.frames.len() - 1 {
-            let clip = retarget_grasp(&cut(&demo, from, from + 2), &target, &thing.surface(), &GraspOptions::default());
+            let clip = retarget_grasp(&cut(&demo, from, from + 2), &target, &thing, &GraspOptions::default());
             assert_eq!(clip.unwrap().frames.len(), 2, "{hand}, frames {from} and {}", from + 1);
         }
     }

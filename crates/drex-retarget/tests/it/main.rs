@@ -3,6 +3,7 @@
 
 mod bundled_models;
 mod cookie_demos;
+mod evaluation;
 mod goldens;
 mod grasp;
 mod hands;

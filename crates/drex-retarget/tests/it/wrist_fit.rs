@@ -1,11 +1,14 @@
 //! Wrist fits on shapes with exact distances: what must be found, what must be refused, and that threads do not matter.
 
-use drex_core::{SdfSample, SignedDistance, TablePlane};
-use drex_retarget::{Error, ObjectSurface, Rejection, Verdict, WristFit, WristFitOptions, fit_wrist, fit_wrists};
+use std::sync::Arc;
+
+use drex_core::{MassProperties, Object, Pose, SdfSample, SignedDistance, SolidGeometry};
+use drex_retarget::{Error, WristFit, WristFitOptions, fit_wrist, fit_wrists};
 use drex_robot::Robot;
-use nalgebra::{Point3, Vector3};
+use nalgebra::{Matrix3, Point3, Vector3};
 
 /// An upright cylinder about the origin.
+#[derive(Clone, Copy)]
 struct Cylinder {
     radius: f64,
     half: f64,
@@ -25,23 +28,34 @@ impl SignedDistance for Cylinder {
     }
 }
 
-impl Cylinder {
-    fn fit(&self, robot: &Robot, joints: &[f64], options: &WristFitOptions) -> WristFit {
-        fit_wrist(robot, joints, &self.surface(), &self.table(), options).unwrap()
+impl SolidGeometry for Cylinder {
+    fn exact(&self) -> &dyn SignedDistance {
+        self
     }
 
-    fn surface(&self) -> ObjectSurface<'_> {
+    fn bounding_box(&self) -> (Point3<f64>, Point3<f64>) {
         let corner = Point3::new(self.radius, self.radius, self.half);
-        ObjectSurface { search: self, exact: self, bounds: (-corner, corner), center_of_mass: Point3::origin() }
+        (-corner, corner)
+    }
+}
+
+impl Cylinder {
+    fn fit(self, robot: &Robot, joints: &[f64], options: &WristFitOptions) -> WristFit {
+        fit_wrist(robot, joints, &self.on_table(), options).unwrap()
     }
 
-    fn table(&self) -> TablePlane {
-        TablePlane { up: Vector3::z_axis(), height_m: -self.half }
+    /// The solid of 0.2 kg on the table.
+    fn on_table(self) -> Object {
+        let inertia = Matrix3::identity() * 1e-4;
+        let body = MassProperties { mass_kg: 0.2, center_of_mass: Point3::origin(), inertia };
+        let mut object = Object::of_parts(Vec::new(), body).with_rest_pose(Pose::translation(0.0, 0.0, self.half));
+        object.geometry = Arc::new(self);
+        object
     }
 }
 
 /// A half-closed hand with the thumb against the fingers, by joint name.
-fn half_closed(robot: &Robot) -> Vec<f64> {
+pub fn half_closed(robot: &Robot) -> Vec<f64> {
     let named: &[(&str, f64)] = match robot.name.as_str() {
         "leap_right" => &[
             ("if_mcp", 0.8),
@@ -77,7 +91,7 @@ fn half_closed(robot: &Robot) -> Vec<f64> {
     robot.joint_vector(named.iter().copied()).unwrap()
 }
 
-fn quick() -> WristFitOptions {
+pub fn quick() -> WristFitOptions {
     let mut options = WristFitOptions::default();
     options.initial_guesses = 256;
     options.kept = (32, 8);
@@ -91,17 +105,18 @@ fn both_hands_find_a_grasp_of_a_can_and_keep_the_rules() {
         let robot = Robot::bundled(name).unwrap();
         let recorded = half_closed(&robot);
         let fit = can.fit(&robot, &recorded, &quick());
-        assert_eq!(fit.verdict, Verdict::Accepted, "{name}");
-        assert!(fit.grip_force_per_weight.is_some() && fit.force_closure, "{name}: {fit:?}");
-        assert!(fit.penetration_mm <= 2.0 && fit.table_clearance_mm >= 0.0);
+        let found = &fit.evaluation;
+        assert!(found.passed && found.grip_force_n.is_some() && found.force_closure, "{name}: {found:?}");
+        assert!(found.penetration_mm <= 2.0 && found.table_clearance_mm >= 0.0);
+        assert_eq!((fit.grasp.contacts.len(), fit.grasp.grip_force_n), (found.contacts.len(), found.grip_force_n));
         assert!(fit.largest_correction_rad() <= 0.15 + 1e-12);
         for (k, joint) in robot.joints.iter().enumerate() {
             let (lo, hi) = joint.limits.unwrap();
-            assert!((lo..=hi).contains(&fit.joints[k]), "{} outside its limits", joint.name);
-            assert!((recorded[k] + fit.clipped_rad[k] + fit.correction_rad[k] - fit.joints[k]).abs() < 1e-12);
+            assert!((lo..=hi).contains(&fit.grasp.joints_rad[k]), "{} outside its limits", joint.name);
+            assert!((recorded[k] + fit.clipped_rad[k] + fit.correction_rad[k] - fit.grasp.joints_rad[k]).abs() < 1e-12);
         }
         // What the verdict says is what the geometry says, measured anew.
-        let poses = robot.forward_kinematics(&fit.joints, &fit.object_from_base);
+        let poses = robot.forward_kinematics(&fit.grasp.joints_rad, &fit.grasp.object_from_base);
         let mut deepest = f64::INFINITY;
         let mut lowest = f64::INFINITY;
         for (link, pose) in poses.iter().enumerate() {
@@ -111,10 +126,10 @@ fn both_hands_find_a_grasp_of_a_can_and_keep_the_rules() {
                 lowest = lowest.min(p.z + can.half);
             }
         }
-        assert!((-1e3 * deepest - fit.penetration_mm).abs() < 1e-9);
-        assert!((1e3 * lowest - fit.table_clearance_mm).abs() < 1e-9);
-        let touching = fit.fingers.iter().filter(|f| f.touches).count();
-        assert!(touching >= 3 && fit.fingers.iter().any(|f| f.touches && f.finger.starts_with("th")));
+        assert!((-1e3 * deepest - found.penetration_mm).abs() < 1e-9);
+        assert!((1e3 * lowest - found.table_clearance_mm).abs() < 1e-9);
+        let touching = found.fingers.iter().filter(|f| f.touches).count();
+        assert!(touching >= 3 && found.fingers.iter().any(|f| f.touches && f.finger.starts_with("th")));
     }
 }
 
@@ -124,11 +139,9 @@ fn an_object_that_does_not_fit_the_hand_is_refused_with_reasons() {
     // A pea: no posture of an open hand puts thumb and two fingers on it.
     let pea = Cylinder { radius: 0.003, half: 0.003 };
     let fit = pea.fit(&robot, &robot.joint_vector::<&str>([]).unwrap(), &quick());
-    let Verdict::Rejected(reasons) = &fit.verdict else { panic!("{fit:?}") };
-    assert!(!reasons.is_empty() && fit.grip_force_per_weight.is_none());
-    let text: Vec<String> = reasons.iter().map(ToString::to_string).collect();
-    assert!(text.iter().any(|t| t.contains("mm")), "{text:?}");
-    assert!(reasons.iter().all(|r| !matches!(r, Rejection::FingersMiss { missing, .. } if missing.is_empty())));
+    assert!(!fit.evaluation.passed && fit.evaluation.grip_force_n.is_none(), "{fit:?}");
+    let words = "touch the object, 2 are asked for (not touching: ";
+    assert!(fit.evaluation.failures.iter().any(|f| f.contains(words)), "{:?}", fit.evaluation.failures);
 }
 
 #[test]
@@ -139,7 +152,7 @@ fn without_corrections_the_record_is_kept() {
     let recorded = half_closed(&robot);
     let fit = Cylinder { radius: 0.033, half: 0.06 }.fit(&robot, &recorded, &options);
     assert_eq!(fit.largest_correction_rad(), 0.0);
-    assert_eq!(fit.joints, recorded);
+    assert_eq!(fit.grasp.joints_rad, recorded);
 }
 
 #[test]
@@ -151,7 +164,7 @@ fn angles_beyond_the_limits_are_clipped_and_said_so() {
     recorded[j] = upper + 0.4;
     let fit = Cylinder { radius: 0.033, half: 0.06 }.fit(&robot, &recorded, &quick());
     assert!((fit.clipped_rad[j] + 0.4).abs() < 1e-12);
-    assert!(fit.joints[j] <= upper && fit.joints[j] >= upper - 0.15 - 1e-12);
+    assert!(fit.grasp.joints_rad[j] <= upper && fit.grasp.joints_rad[j] >= upper - 0.15 - 1e-12);
 }
 
 #[test]
@@ -166,21 +179,20 @@ fn any_number_of_threads_gives_the_same_bytes() {
     options.kept = (8, 2);
     let run = |threads: usize| {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
-        pool.install(|| fit_wrists(&robot, &rows, &can.surface(), &can.table(), &options)).unwrap()
+        pool.install(|| fit_wrists(&robot, &rows, &can.on_table(), &options)).unwrap()
     };
     let (one, three) = (run(1), run(3));
     assert_eq!(format!("{one:?}"), format!("{three:?}"));
-    assert_eq!(one[2], fit_wrist(&robot, &rows[2], &can.surface(), &can.table(), &options).unwrap());
-    let other = fit_wrist(&robot, &rows[2], &can.surface(), &can.table(), &options.with_seed(1)).unwrap();
-    assert_ne!(one[2].object_from_base, other.object_from_base, "the seed has no effect");
+    assert_eq!(one[2], fit_wrist(&robot, &rows[2], &can.on_table(), &options).unwrap());
+    let other = fit_wrist(&robot, &rows[2], &can.on_table(), &options.with_seed(1)).unwrap();
+    assert_ne!(one[2].grasp.object_from_base, other.grasp.object_from_base, "the seed has no effect");
 }
 
 #[test]
 fn bad_input_is_refused_by_name() {
     let robot = Robot::bundled("leap_right").unwrap();
     let can = Cylinder { radius: 0.03, half: 0.05 };
-    let fit =
-        |rows: &[Vec<f64>], options: &WristFitOptions| fit_wrists(&robot, rows, &can.surface(), &can.table(), options);
+    let fit = |rows: &[Vec<f64>], options: &WristFitOptions| fit_wrists(&robot, rows, &can.on_table(), options);
     let mut nan = half_closed(&robot);
     nan[3] = f64::NAN;
     let message = fit(&[half_closed(&robot), nan], &quick()).unwrap_err().to_string();
@@ -190,7 +202,7 @@ fn bad_input_is_refused_by_name() {
     options.initial_guesses = 0;
     assert!(matches!(fit(&[half_closed(&robot)], &options), Err(Error::Core(_))));
     options = quick();
-    options.min_fingers = 9;
+    options.limits.min_fingers = 9;
     assert!(fit(&[], &options).is_err());
     assert!(fit(&[], &quick()).unwrap().is_empty());
 }

@@ -35,7 +35,7 @@ fn searched() -> Vec<Grasp> {
     let assumed = Assumed { mass_kg: 0.15, friction: 0.5 };
     let object = trial.object().clone().with_mass(assumed.mass_kg);
     let surface = HandSurface::new(trial.hand(), 0.003).unwrap();
-    let limits = EvaluationOptions::of(&object);
+    let limits = EvaluationOptions::default();
     let passes = |f: &Grasp| evaluate_with(&surface, f, &object, trial.hand(), &limits).unwrap().passed;
     let mut good: Vec<(f64, Grasp)> = pinch_grasps(&object, trial.hand(), 6000, 0)
         .unwrap()

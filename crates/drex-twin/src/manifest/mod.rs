@@ -61,8 +61,9 @@ pub struct ObjectConfig {
     pub friction: Option<f64>,
     /// The other contact parameters of the simulation asset; their defaults if left out.
     pub contact: Option<ContactConfig>,
-    /// Convex pieces at most; the default of the mesh kit if left out.
-    pub pieces: Option<usize>,
+    /// Convex parts at most; the default of the mesh kit if left out.
+    #[serde(rename = "pieces")]
+    pub convex_parts: Option<usize>,
     /// Parts of an articulated object, segmented from `mesh`; none for a rigid one.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub parts: Vec<PartConfig>,
@@ -78,7 +79,7 @@ impl ObjectConfig {
         options.unit = self.unit.into();
         options.up_in_mesh = Some(Vector3::from(self.up_in_mesh));
         options.friction = friction;
-        options.partition.most_parts = self.pieces.unwrap_or(options.partition.most_parts);
+        options.partition.most_parts = self.convex_parts.unwrap_or(options.partition.most_parts);
         options.contact = self.contact.clone().unwrap_or_default();
         options
     }
@@ -150,7 +151,7 @@ pub struct TrainConfig {
     pub modes: Option<usize>,
     /// Width of the hidden layers.
     pub hidden: Option<usize>,
-    /// Grasps that are practised in simulation before the best of them are learned, those that need least force; none if left out.
+    /// Grasps that are tried in simulation before the best of them are learned, those that need least force; none if left out.
     pub practice: Option<u32>,
     /// Hands that a search looks at to find more grasps for the practice, and fifty times as many as are laid on the object palm first; none if
     /// left out.
@@ -166,7 +167,7 @@ impl TwinManifest {
             up_in_mesh: z_up(),
             friction: None,
             contact: None,
-            pieces: None,
+            convex_parts: None,
             parts: Vec::new(),
             joints: Vec::new(),
         };
@@ -249,7 +250,7 @@ impl TwinManifest {
             );
         }
         self.object.contact.as_ref().map_or(Ok(()), ContactConfig::check)?;
-        if self.object.pieces == Some(0) {
+        if self.object.convex_parts == Some(0) {
             return refuse("[object] pieces = 0".into(), "allow at least one convex piece, or leave it out");
         }
         self.check_parts()?;

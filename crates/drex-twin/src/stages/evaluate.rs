@@ -3,14 +3,14 @@
 use std::path::PathBuf;
 
 use crate::Result;
-use drex_core::{Object, Pose, PoseRecord};
+use drex_core::{Object, PoseRecord};
 use drex_grasp::{EvaluationOptions, Grasp, HandSurface, evaluate_with};
 use drex_policy::{GraspPolicy, PredictedGrasp, Query};
 use rayon::prelude::*;
 
 use crate::Progress;
 use crate::Twin;
-use crate::learn::POINTS;
+use crate::learn::{POINTS, grasp_of};
 use crate::records::{EVALUATION, FITS, MASS, POLICY, read_json, write_json};
 use crate::records::{EvaluatedGrasp, Evaluation, FitFile, MassFile};
 use crate::scene::Scene;
@@ -26,14 +26,14 @@ pub(crate) fn make(twin: &Twin, progress: &dyn Progress) -> Result<Vec<PathBuf>>
     progress.begin("evaluate", None);
 
     let evaluator = Evaluator::new(&scene, mass.grip_kg)?;
-    let predicted =
-        predictions.par_iter().map(|p| evaluator.predicted(&p.joints, p.object_from_base, p)).collect::<Result<_>>()?;
+    let own = |p: &PredictedGrasp| grasp_of(policy.hand(), policy.joint_names(), p);
+    let predicted = predictions.par_iter().map(|p| evaluator.predicted(&own(p), p)).collect::<Result<_>>()?;
     let refined = predictions.par_iter().map(|p| evaluator.refined(p)).collect::<Result<_>>()?;
     let demonstrations = fits
         .grasps
         .par_iter()
         .filter(|g| g.accepted)
-        .map(|g| evaluator.evaluate(&g.joints_rad, g.object_from_base.to_pose()?))
+        .map(|g| evaluator.evaluate(&g.grasp(&scene.robot)?))
         .collect::<Result<_>>()?;
     let evaluation =
         Evaluation { mass_kg: mass.grip_kg, friction: twin.friction(), predicted, refined, demonstrations };
@@ -53,31 +53,30 @@ struct Evaluator<'a> {
 impl<'a> Evaluator<'a> {
     fn new(scene: &'a Scene, mass_kg: f64) -> Result<Self> {
         let object = scene.object.clone().with_mass(mass_kg);
-        let options = EvaluationOptions::of(&object);
+        let options = EvaluationOptions::default();
         let surface = HandSurface::new(&scene.robot, options.contact.spacing_m)?;
         Ok(Self { scene, object, surface, options })
     }
 
-    fn evaluate(&self, joints: &[f64], object_from_base: Pose) -> Result<EvaluatedGrasp> {
-        let grasp = Grasp::new(&self.scene.robot, joints.to_vec(), object_from_base);
-        let check = evaluate_with(&self.surface, &grasp, &self.object, &self.scene.robot, &self.options)?;
+    fn evaluate(&self, grasp: &Grasp) -> Result<EvaluatedGrasp> {
+        let check = evaluate_with(&self.surface, grasp, &self.object, &self.scene.robot, &self.options)?;
         Ok(EvaluatedGrasp {
-            joints_rad: joints.to_vec(),
-            object_from_base: PoseRecord::from(&object_from_base),
+            joints_rad: grasp.joints_rad.clone(),
+            object_from_base: PoseRecord::from(&grasp.object_from_base),
             predicted_grip_force_n: None,
             weight: None,
             check,
         })
     }
 
-    fn predicted(&self, joints: &[f64], object_from_base: Pose, from: &PredictedGrasp) -> Result<EvaluatedGrasp> {
-        let evaluated = self.evaluate(joints, object_from_base)?;
+    fn predicted(&self, grasp: &Grasp, from: &PredictedGrasp) -> Result<EvaluatedGrasp> {
+        let evaluated = self.evaluate(grasp)?;
         Ok(EvaluatedGrasp { predicted_grip_force_n: Some(from.grip_force_n), weight: Some(from.weight), ..evaluated })
     }
 
     /// The predicted joint angles put onto the surface: wrist solved for them, fingers corrected within the fit's bound.
     fn refined(&self, p: &PredictedGrasp) -> Result<EvaluatedGrasp> {
         let fit = self.scene.fit(&p.joints)?;
-        self.predicted(&fit.joints, fit.object_from_base, p)
+        self.predicted(&fit.grasp, p)
     }
 }

@@ -7,7 +7,7 @@ use crate::error::Context;
 use crate::manifest::{GraspsConfig, RecordedAs};
 use drex_recording::JointPoses;
 use drex_recording::readers::read_grasps;
-use drex_retarget::{Verdict, WristFit};
+use drex_retarget::WristFit;
 use drex_robot::{Robot, joint_order};
 use rayon::prelude::*;
 
@@ -17,7 +17,6 @@ use crate::Twin;
 use crate::records::{FITS, write_json};
 use crate::records::{FitFile, FitRecord};
 use crate::scene::Scene;
-use drex_core::PoseRecord;
 
 pub(crate) fn make(twin: &Twin, progress: &dyn Progress) -> Result<Vec<PathBuf>> {
     let scene = Scene::of(twin)?;
@@ -50,7 +49,7 @@ fn of_robot(twin: &Twin, config: &GraspsConfig, scene: &Scene, progress: &dyn Pr
         .map(|joints| scene.fit(joints).inspect(|_| progress.step()))
         .collect::<Result<_>>()?;
     progress.end();
-    Ok(fits.iter().enumerate().map(|(i, fit)| record(i, fit)).collect())
+    Ok(fits.iter().enumerate().map(|(i, fit)| record(i, fit, scene.object.weight_n())).collect())
 }
 
 /// The demonstrations as joint vectors in the model's order.
@@ -73,25 +72,10 @@ fn read(twin: &Twin, config: &GraspsConfig, robot: &Robot) -> Result<Vec<Vec<f64
         .collect()
 }
 
-fn record(demonstration: usize, fit: &WristFit) -> FitRecord {
-    let reasons = match &fit.verdict {
-        Verdict::Accepted => Vec::new(),
-        Verdict::Rejected(reasons) => reasons.iter().map(ToString::to_string).collect(),
-    };
+fn record(demonstration: usize, fit: &WristFit, weight_n: f64) -> FitRecord {
     FitRecord {
-        demonstration,
-        accepted: fit.verdict.is_accepted(),
-        reasons,
-        joints_rad: fit.joints.clone(),
         largest_clipping_rad: fit.clipped_rad.iter().fold(0.0, |m, c| c.abs().max(m)),
-        correction_rad: fit.correction_rad.clone(),
-        largest_correction_rad: fit.largest_correction_rad(),
-        object_from_base: PoseRecord::from(&fit.object_from_base),
-        penetration_mm: fit.penetration_mm,
-        table_clearance_mm: fit.table_clearance_mm,
-        touching: fit.fingers.iter().filter(|f| f.touches).map(|f| f.finger.clone()).collect(),
         pushed_out: Some(fit.pushed_out),
-        grip_force_per_weight: fit.grip_force_per_weight,
-        source: None,
+        ..FitRecord::of(demonstration, &fit.grasp, &fit.evaluation, fit.correction_rad.clone(), weight_n)
     }
 }

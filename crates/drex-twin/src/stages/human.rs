@@ -5,12 +5,10 @@ use std::path::{Path, PathBuf};
 use crate::Result;
 use crate::error::{Context, refuse};
 use crate::manifest::GraspsConfig;
-use drex_core::{Pose, PoseRecord};
 use drex_demo::{Demonstration, LoadOptions};
-use drex_grasp::{ContactOptions, HandSurface, grip_force_per_weight};
+use drex_grasp::{EvaluationOptions, HandSurface, evaluate_with};
 use drex_retarget::{
-    AugmentOptions, Augmentation, GraspFrame, GraspOptions, GraspRetargeting, Rejection, TargetHand, Verdict, augment,
-    retarget_grasp,
+    AugmentOptions, Augmentation, GraspFrame, GraspOptions, GraspRetargeting, TargetHand, augment, retarget_grasp,
 };
 use nalgebra::{Unit, Vector3};
 use rayon::prelude::*;
@@ -32,9 +30,8 @@ pub(crate) fn make(
 ) -> Result<(Vec<FitRecord>, Vec<ClipRecord>)> {
     let files = demonstrations(&twin.path(&config.file))?;
     let hand = hand(twin, config)?;
-    let mut options = GraspOptions::default();
-    options.friction = twin.friction();
-    let writer = Writer::new(scene)?;
+    let options = GraspOptions::default();
+    let writer = Writer::new(scene, &options)?;
     let (mut records, mut clips) = (Vec::new(), Vec::new());
     progress.begin("grasps", Some(files.len() as u64));
     for file in &files {
@@ -139,16 +136,15 @@ impl Clip {
             }
         }
         demo.up = demo.up.or_else(|| first.zip(up).map(|(pose, up)| pose.rotation * up));
-        let surface = scene.surface();
         let at = || format!("{}", file.display());
-        let grasps = retarget_grasp(&demo, hand, &surface, options).with_context(at)?;
+        let grasps = retarget_grasp(&demo, hand, &scene.object, options).with_context(at)?;
         // Without a frame that holds there is nothing to vary; its reasons say why.
-        let holds = grasps.frames.iter().any(|f| f.is_accepted() && f.force_closure);
+        let holds = grasps.frames.iter().any(|f| f.is_accepted() && f.evaluation.force_closure);
         let more = match config.augment.filter(|_| holds) {
             Some(count) => {
                 let mut vary = AugmentOptions::default();
                 (vary.grasp, vary.seed) = (options.clone(), twin.seed);
-                Some(augment(&grasps, hand, &surface, &vary, count).with_context(at)?)
+                Some(augment(&grasps, hand, &scene.object, &vary, count).with_context(at)?)
             }
             None => None,
         };
@@ -164,11 +160,9 @@ impl Clip {
         };
         let held = (0..self.grasps.frames.len()).filter(|&i| self.grasps.frames[i].held);
         let own = held.map(|i| (&self.grasps.frames[i], &self.grasps.plain.frames[i].q, source(i, None)));
-        let made = self
-            .more
-            .iter()
-            .flat_map(|m| &m.grasps)
-            .map(|g| (&g.grasp, &self.grasps.frames[g.source_frame].q, source(g.source_frame, Some(g.symmetry))));
+        let made = self.more.iter().flat_map(|m| &m.grasps).map(|g| {
+            (&g.grasp, &self.grasps.frames[g.source_frame].grasp.joints_rad, source(g.source_frame, Some(g.symmetry)))
+        });
         let all: Vec<_> = own.chain(made).collect();
         all.into_par_iter().map(|(grasp, before, source)| writer.record(grasp, before, source)).collect()
     }
@@ -178,64 +172,28 @@ impl Clip {
 struct Writer<'a> {
     scene: &'a Scene,
     surface: HandSurface,
+    /// Those of the frames, on the table.
+    limits: EvaluationOptions,
 }
 
 impl<'a> Writer<'a> {
-    fn new(scene: &'a Scene) -> Result<Self> {
-        Ok(Self { scene, surface: HandSurface::new(&scene.robot, ContactOptions::default().spacing_m)? })
+    fn new(scene: &'a Scene, options: &GraspOptions) -> Result<Self> {
+        let mut limits = options.limits.clone();
+        limits.min_table_clearance_m = EvaluationOptions::demonstrated().min_table_clearance_m;
+        Ok(Self { scene, surface: HandSurface::new(&scene.robot, limits.contact.spacing_m)?, limits })
     }
 
     /// `before` are the joints that the grasp was corrected from.
-    fn record(&self, grasp: &GraspFrame, before: &[f64], source: FitSource) -> Result<FitRecord> {
+    fn record(&self, frame: &GraspFrame, before: &[f64], source: FitSource) -> Result<FitRecord> {
         let Scene { robot, object, .. } = self.scene;
-        let table = object.table();
-        let mut reasons = match &grasp.verdict {
-            Verdict::Accepted => Vec::new(),
-            Verdict::Rejected(reasons) => reasons.iter().map(ToString::to_string).collect(),
-        };
-        let links = robot.forward_kinematics(&grasp.q, &grasp.object_from_base);
-        let lowest = self.surface.lowest(&links, &table.up);
-        let (link, height_m) = lowest
-            .iter()
-            .copied()
-            .enumerate()
-            .fold((0, f64::INFINITY), |low, next| if next.1 < low.1 { next } else { low });
-        let table_clearance_m = height_m - table.height_m;
-        let allowed_m = self.scene.fit_options().min_table_clearance_m;
-        if table_clearance_m < allowed_m {
-            let depth_mm = 1e3 * (allowed_m - table_clearance_m);
-            reasons.push(Rejection::BelowTable { link: robot.links[link].name.clone(), depth_mm }.to_string());
-        }
-        let correction_rad: Vec<f64> = grasp.q.iter().zip(before).map(|(q, b)| q - b).collect();
-        let touching = grasp.fingers.iter().filter(|f| f.touches).map(|f| f.finger.name().to_owned()).collect();
-        Ok(FitRecord {
-            demonstration: 0,
-            accepted: reasons.is_empty(),
-            reasons,
-            joints_rad: grasp.q.clone(),
-            largest_clipping_rad: 0.0,
-            largest_correction_rad: correction_rad.iter().fold(0.0, |m, c| c.abs().max(m)),
-            correction_rad,
-            object_from_base: PoseRecord::from(&grasp.object_from_base),
-            penetration_mm: grasp.penetration_mm,
-            table_clearance_mm: 1e3 * table_clearance_m,
-            touching,
-            pushed_out: None,
-            grip_force_per_weight: self.grip_force(&grasp.q, &grasp.object_from_base)?,
-            source: Some(source),
-        })
-    }
-
-    /// Smallest sum of normal forces that carries a unit weight over the table; `None` if the contacts cannot.
-    fn grip_force(&self, q: &[f64], object_from_base: &Pose) -> Result<Option<f64>> {
-        let scene = self.scene;
-        let contacts = self.surface.contacts(
-            &scene.robot,
-            q,
-            object_from_base,
-            scene.object.geometry.exact(),
-            &ContactOptions::with_friction(scene.object.friction),
-        )?;
-        Ok(grip_force_per_weight(&contacts, scene.object.center_of_mass(), scene.object.table().up)?)
+        let grasp = &frame.grasp;
+        let evaluation = evaluate_with(&self.surface, grasp, object, robot, &self.limits)?;
+        let correction_rad = grasp.joints_rad.iter().zip(before).map(|(q, b)| q - b).collect();
+        let mut record = FitRecord::of(0, grasp, &evaluation, correction_rad, object.weight_n());
+        // What the evaluation does not know: how far the robot's hand is from the person's.
+        record.reasons.extend(frame.reasons.iter().filter(|r| !frame.evaluation.failures.contains(r)).cloned());
+        record.accepted = record.reasons.is_empty();
+        record.touching = frame.fingers.iter().filter(|f| f.touches).map(|f| f.finger.name().to_owned()).collect();
+        Ok(FitRecord { source: Some(source), ..record })
     }
 }

@@ -7,8 +7,8 @@ pub(crate) mod execute;
 pub(crate) mod grasps;
 mod human;
 pub(crate) mod identify;
-mod practice;
 pub(crate) mod scan;
+mod simulated;
 pub(crate) mod train;
 pub(crate) mod trial;
 

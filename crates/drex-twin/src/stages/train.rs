@@ -4,37 +4,32 @@ use std::ops::ControlFlow;
 use std::path::PathBuf;
 
 use crate::Result;
-use crate::error::{Context, refuse};
+use crate::error::refuse;
 use drex_core::fsutil;
 use drex_grasp::{
     ContactOptions, GraspError, GripForceError, GripForcePolicy, GripForceProblem, HandSurface, OriginCounts,
 };
-use drex_policy::{Dataset, GraspPolicy, GraspSample, ObjectCloud, TrainOptions};
+use drex_policy::{Dataset, GraspPolicy, GraspSample, TrainOptions};
 use drex_trial::{ConditionSpread, TrialOptions};
 use rayon::prelude::*;
 
-use super::practice::Simulated;
+use super::simulated::Simulated;
 use crate::Progress;
 use crate::Twin;
-use crate::learn::{LearnOptions, Learned, POINTS};
+use crate::learn::{self, LearnOptions, Learned, MASS_FACTORS, POINTS, labels};
 use crate::records::{CURVE, FITS, MASS, POLICY, PracticeRecord, TRAINING, read_json, write_json};
 use crate::records::{FitFile, FitRecord, MassFile, Training};
 use crate::scene::Scene;
-
-/// The network learns the force at these multiples of the mass that grasps are made for.
-const MASS_FACTORS: [f64; 4] = [0.25, 0.5, 1.0, 2.0];
-/// And at these multiples of its friction.
-const FRICTION_FACTORS: [f64; 3] = [0.7, 1.0, 1.4];
 
 pub(crate) fn make(twin: &Twin, progress: &dyn Progress) -> Result<Vec<PathBuf>> {
     let scene = Scene::of(twin)?;
     let fits: FitFile = read_json(&twin.path(FITS))?;
     let mass: MassFile = read_json(&twin.path(MASS))?;
     let options = options(twin);
-    if let Some(practised) = twin.manifest.train.as_ref().and_then(|t| t.practice).filter(|p| *p > 0) {
-        return practise(twin, &scene, &fits, &mass, options, practised as usize, progress);
+    if let Some(simulated) = twin.manifest.train.as_ref().and_then(|t| t.practice).filter(|p| *p > 0) {
+        return validated(twin, &scene, &fits, &mass, options, simulated as usize, progress);
     }
-    let (data, learned) = dataset(twin, &scene, &fits, &mass)?;
+    let (data, learned) = dataset(&scene, &fits, &mass, twin.seed)?;
     progress.begin("train", Some(options.epochs as u64));
     let (policy, report) = GraspPolicy::train(&data, &options, &mut |epoch| {
         progress.at(epoch.epoch as u64, &format!("loss {:.4}", epoch.total));
@@ -55,30 +50,30 @@ fn write(twin: &Twin, policy: &GraspPolicy, training: &Training) -> Result<Vec<P
 }
 
 /// Learns the grasps that hold when they are tried, of the demonstrations and of a search, then from rollouts of its own.
-fn practise(
+fn validated(
     twin: &Twin,
     scene: &Scene,
     fits: &FitFile,
     mass: &MassFile,
     train: TrainOptions,
-    practised: usize,
+    simulated: usize,
     progress: &dyn Progress,
 ) -> Result<Vec<PathBuf>> {
     progress.begin("search", None);
-    let simulated = Simulated::of(twin, &scene.robot, mass.grip_kg)?;
+    let tried = Simulated::of(twin, &scene.robot, mass.grip_kg)?;
     let search = twin.manifest.train.as_ref().and_then(|t| t.search).unwrap_or(0);
-    let grasps = simulated.grasps(fits, search, twin.seed)?;
+    let grasps = tried.grasps(fits, search, twin.seed)?;
     progress.begin("practice", None);
     let mut options = LearnOptions {
         train,
         spread: ConditionSpread::around(Some(twin.friction())),
-        simulated: practised,
+        simulated,
         shake_m_s2: TrialOptions::default().shake_m_s2,
         masses_kg: Vec::new(),
         mass_hidden: false,
     };
     options.train.rollouts.wanted_friction_share = GripForcePolicy::default().friction_share();
-    let learned = Learned::train(&simulated.object, &simulated.robot, &grasps, &simulated.evaluator, &options)?;
+    let learned = Learned::train(&tried.object, &tried.robot, &grasps, &tried.evaluator, &options)?;
     progress.end();
     progress.note(&format!(
         "{:>10}  {} of {} grasps hold in practice, {} learned",
@@ -102,53 +97,34 @@ fn practise(
 
 /// Each accepted grasp at several masses and frictions, with the grip force that the grip-force policy asks for there, and where the grasps come
 /// from for which it has one.
-fn dataset(twin: &Twin, scene: &Scene, fits: &FitFile, mass: &MassFile) -> Result<(Dataset, OriginCounts)> {
-    let contact = ContactOptions::with_friction(scene.object.friction);
-    let surface = HandSurface::new(&scene.robot, contact.spacing_m)?;
+fn dataset(scene: &Scene, fits: &FitFile, mass: &MassFile, seed: u64) -> Result<(Dataset, OriginCounts)> {
+    let Scene { robot, object, .. } = scene;
+    let contact = ContactOptions::with_friction(object.friction);
+    let surface = HandSurface::new(robot, contact.spacing_m)?;
     let law = GripForcePolicy::default();
-    let object_friction = twin.friction();
+    let masses = MASS_FACTORS.map(|factor| factor * mass.grip_kg);
     let accepted: Vec<_> = fits.grasps.iter().filter(|g| g.accepted).collect();
     let per_grasp: Vec<Vec<GraspSample>> = accepted
         .par_iter()
         .map(|fit| {
-            let object_from_base = fit.object_from_base.to_pose()?;
-            let touching = surface.contacts(
-                &scene.robot,
-                &fit.joints_rad,
-                &object_from_base,
-                scene.object.geometry.exact(),
-                &contact,
-            )?;
-            let contacts: Vec<bool> =
+            let grasp = fit.grasp(robot)?;
+            let (pose, exact) = (&grasp.object_from_base, object.geometry.exact());
+            let touching = surface.contacts(robot, &grasp.joints_rad, pose, exact, &contact)?;
+            let fingers: Vec<bool> =
                 (0..surface.fingers.len()).map(|f| touching.iter().any(|c| c.finger == Some(f))).collect();
-            let mut samples = Vec::new();
-            for (factor, part) in MASS_FACTORS.iter().flat_map(|m| FRICTION_FACTORS.map(|f| (*m, f))) {
-                let (mass_kg, friction) = (factor * mass.grip_kg, part * object_friction);
-                let mut problem = GripForceProblem::new(
-                    touching.clone(),
-                    mass_kg,
-                    scene.object.center_of_mass(),
-                    scene.object.table().gravity(),
-                );
-                problem.contacts.iter_mut().for_each(|c| c.friction = friction);
+            labels(&grasp, &fingers, &masses, object.friction, |assumed| {
+                let (com, gravity) = (object.center_of_mass(), object.table().gravity());
+                let mut problem = GripForceProblem::new(touching.clone(), assumed.mass_kg, com, gravity);
+                problem.contacts.iter_mut().for_each(|c| c.friction = assumed.friction);
                 // The force of a heavy object may be beyond this hand's motors; the law that the network learns is not.
-                let grip_force_n = match law.command(&problem) {
-                    Ok(force) => force.total_n,
-                    Err(GripForceError::Input(GraspError::Solver { .. })) => continue,
-                    Err(GripForceError::Input(error)) => return Err(error.into()),
-                    Err(_) => continue,
-                };
-                samples.push(GraspSample {
-                    object: 0,
-                    joints: fit.joints_rad.clone(),
-                    object_from_base,
-                    contacts: contacts.clone(),
-                    grip_force_n,
-                    mass_kg,
-                    friction,
-                });
-            }
-            Ok(samples)
+                match law.command(&problem) {
+                    Ok(force) => Ok(Some(force.total_n)),
+                    Err(GripForceError::Input(error)) if !matches!(error, GraspError::Solver { .. }) => {
+                        Err(error.into())
+                    }
+                    Err(_) => Ok(None),
+                }
+            })
         })
         .collect::<Result<_>>()?;
     let learned =
@@ -156,35 +132,12 @@ fn dataset(twin: &Twin, scene: &Scene, fits: &FitFile, mass: &MassFile) -> Resul
     let samples: Vec<GraspSample> = per_grasp.into_iter().flatten().collect();
     if samples.is_empty() {
         refuse!(
-            "none of the {} fitted grasps can carry the object at friction {}: see the reasons in {}",
+            "none of the {} fitted grasps can carry the object at friction {}: see the reasons in {FITS}",
             accepted.len(),
-            twin.friction(),
-            twin.path(FITS).display()
+            object.friction
         );
     }
-    let joint_limits = scene
-        .robot
-        .joints
-        .iter()
-        .map(|j| {
-            j.limits.with_context(|| {
-                format!("joint {} of {} has no limits; the network needs them", j.name, scene.robot.name)
-            })
-        })
-        .collect::<Result<_>>()?;
-    let data = Dataset {
-        joint_names: fits.joint_names.clone(),
-        joint_limits,
-        hand: fits.hand.clone(),
-        fingers: surface.fingers.iter().map(|f| f.name.clone()).collect(),
-        objects: vec![ObjectCloud {
-            name: twin.manifest.name.clone(),
-            points: scene.object.point_cloud(POINTS, twin.seed),
-            up: scene.object.table().up.into_inner(),
-        }],
-        samples,
-    };
-    Ok((data, learned))
+    Ok((learn::dataset(object, robot, samples, seed)?, learned))
 }
 
 fn options(twin: &Twin) -> TrainOptions {

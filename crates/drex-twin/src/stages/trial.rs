@@ -9,16 +9,16 @@ use drex_policy::{GraspPolicy, Query};
 use drex_trial::{Command, Condition, ConditionSpread, Evaluator, Frame, Verdict, wilson};
 use rayon::prelude::*;
 
-use super::practice::Simulated;
+use super::simulated::Simulated;
 use crate::Progress;
 use crate::learn::{POINTS, grasp_of};
 use crate::records::MassFile;
-use crate::records::{FilmFrame, MASS, POLICY, RolloutRecord, TRIAL, TrialFile, read_json, write_json};
+use crate::records::{MASS, POLICY, RecordedFrame, RolloutRecord, TRIAL, TrialFile, read_json, write_json};
 use crate::{Twin, rank};
 
 /// Rollouts.
 const ROLLOUTS: usize = 24;
-/// Time between two frames of the film, s.
+/// Time between two frames of the recording, s.
 const FRAME_S: f64 = 0.08;
 /// Set apart from the seeds of the practice.
 const TRIAL_SEED: u64 = 0x74_72_69_61;
@@ -75,7 +75,7 @@ pub(crate) fn make(twin: &Twin, progress: &dyn Progress) -> Result<Vec<PathBuf>>
     let succeeded = |(r, _): &(RolloutRecord, _)| r.verdict == Verdict::Success;
     let held = done.iter().filter(|d| succeeded(d)).count();
     let filmed = done.iter().position(succeeded).or_else(|| done.iter().position(|d| d.1.is_some()));
-    let film = match filmed.map(|i| (&conditions[i], &done[i])) {
+    let recording = match filmed.map(|i| (&conditions[i], &done[i])) {
         Some((condition, (record, Some(command)))) => {
             simulated.evaluator.record(command, &condition.truth(record.mass_kg), FRAME_S)?
         }
@@ -95,15 +95,15 @@ pub(crate) fn make(twin: &Twin, progress: &dyn Progress) -> Result<Vec<PathBuf>>
         n: done.len(),
         interval: [interval.low, interval.high],
         rollouts: done.into_iter().map(|d| d.0).collect(),
-        film: film.into_iter().map(frame).collect(),
+        recording: recording.into_iter().map(frame).collect(),
         filmed,
     };
     write_json(&twin.output(TRIAL)?, &file)?;
     Ok(vec![twin.path(TRIAL)])
 }
 
-fn frame(f: Frame) -> FilmFrame {
-    FilmFrame {
+fn frame(f: Frame) -> RecordedFrame {
+    RecordedFrame {
         time_s: f.time_s,
         world_from_base: PoseRecord::from(&f.world_from_base),
         joints_rad: f.joints,

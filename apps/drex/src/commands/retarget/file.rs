@@ -6,7 +6,8 @@ use std::path::Path;
 use anyhow::Result;
 use drex_core::fsutil;
 use drex_demo::{Demonstration, FrameFlag, Side};
-use drex_retarget::{GraspFrame, RetargetedFrame, ScaleReport, TargetHand};
+use drex_grasp::SelfCollision;
+use drex_retarget::{FingerContact, RetargetedFrame, ScaleReport, TargetHand};
 use serde::Serialize;
 
 use super::Object;
@@ -86,12 +87,25 @@ impl<'a> FrameRecord<'a> {
 pub struct GraspRecord<'a> {
     /// Number in the demonstration, from 0.
     pub frame: usize,
+    pub t_s: f64,
+    pub q: &'a [f64],
     pub accepted: bool,
     /// Why not, one sentence each.
-    pub reasons: Vec<String>,
+    pub reasons: &'a [String],
     pub object_from_base: PoseRecord,
-    #[serde(flatten)]
-    pub measured: &'a GraspFrame,
+    pub held: bool,
+    pub fingers: &'a [FingerContact],
+    pub penetration_mm: f64,
+    pub deepest_link: Option<&'a str>,
+    pub self_collision: Option<&'a SelfCollision>,
+    pub mean_joint_distance_rad: f64,
+    pub largest_joint_distance_rad: f64,
+    pub wrist_shift_mm: f64,
+    pub wrist_turn_rad: f64,
+    pub joint_speed_rad_s: f64,
+    pub force_closure: bool,
+    pub grip_force_per_weight: Option<f64>,
+    pub flags: &'a [FrameFlag],
 }
 
 /// A grasp that was made of an accepted frame.

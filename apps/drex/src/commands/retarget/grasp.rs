@@ -3,12 +3,10 @@
 use std::time::Instant;
 
 use anyhow::Result;
-use drex_core::Surface;
 use drex_demo::Demonstration;
-use drex_mesh::{GridOptions, GridSdf, solid_properties};
+use drex_mesh::{GridOptions, solid_object};
 use drex_retarget::{
-    AugmentOptions, Augmentation, GraspFrame, GraspOptions, GraspRetargeting, ObjectSurface, TargetHand, Verdict,
-    augment, retarget_grasp,
+    AugmentOptions, Augmentation, GraspFrame, GraspOptions, GraspRetargeting, TargetHand, augment, retarget_grasp,
 };
 use serde_json::json;
 
@@ -33,18 +31,12 @@ pub fn run(
     let mut grid = GridOptions::default();
     // Most of a hand is nearer.
     grid.margin_m = Some(0.1);
-    let search = GridSdf::with_options(object.solid.clone(), &grid)?;
-    let surface = ObjectSurface {
-        search: &search,
-        exact: &object.solid,
-        bounds: search.bounds(),
-        center_of_mass: solid_properties(&object.mesh)?.properties.center_of_mass,
-    };
+    let held = solid_object("object", &object.mesh, &grid)?;
     let begin = Instant::now();
-    let result = retarget_grasp(&demo, hand, &surface, &grasp)?;
+    let result = retarget_grasp(&demo, hand, &held, &grasp)?;
     result.plain.scale.note().iter().for_each(|note| ui.note(format!("  note     {note}")));
     let ms = 1e3 * begin.elapsed().as_secs_f64() / result.frames.len().max(1) as f64;
-    let more = args.augment.map(|n| more(n.get(), &result, hand, &surface, &grasp, seed)).transpose()?;
+    let more = args.augment.map(|n| more(n.get(), &result, hand, &held, &grasp, seed)).transpose()?;
     if let Some(out) = &args.out {
         let grasps = more.as_ref().map_or_else(Vec::new, |m| augmented(&demo, m));
         file::write(out, args, &demo, hand, Some(object), &result.plain.scale, &records(&demo, &result), &grasps)?;
@@ -59,8 +51,8 @@ pub fn run(
             .zip(&result.frames)
             .map(|(d, f)| picture::Posed {
                 frame: d.index,
-                q: &f.q,
-                world_from_base: world_from_object * f.object_from_base,
+                q: &f.grasp.joints_rad,
+                world_from_base: world_from_object * f.grasp.object_from_base,
                 world_from_object: Some(world_from_object),
             })
             .collect();
@@ -112,7 +104,7 @@ fn more(
     count: usize,
     result: &GraspRetargeting,
     hand: &TargetHand,
-    object: &ObjectSurface<'_>,
+    object: &drex_core::Object,
     grasp: &GraspOptions,
     seed: Option<u64>,
 ) -> Result<Augmentation> {
@@ -142,17 +134,24 @@ fn records<'a>(demo: &Demonstration, result: &'a GraspRetargeting) -> Vec<GraspR
 fn record(frame: usize, f: &GraspFrame) -> GraspRecord<'_> {
     GraspRecord {
         frame,
+        t_s: f.t_s,
+        q: &f.grasp.joints_rad,
         accepted: f.is_accepted(),
-        reasons: reasons(&f.verdict),
-        object_from_base: (&f.object_from_base).into(),
-        measured: f,
-    }
-}
-
-fn reasons(verdict: &Verdict) -> Vec<String> {
-    match verdict {
-        Verdict::Accepted => Vec::new(),
-        Verdict::Rejected(reasons) => reasons.iter().map(ToString::to_string).collect(),
+        reasons: &f.reasons,
+        object_from_base: (&f.grasp.object_from_base).into(),
+        held: f.held,
+        fingers: &f.fingers,
+        penetration_mm: f.evaluation.penetration_mm,
+        deepest_link: f.evaluation.deepest_link.as_deref(),
+        self_collision: f.evaluation.self_collision.as_ref(),
+        mean_joint_distance_rad: f.mean_joint_distance_rad,
+        largest_joint_distance_rad: f.largest_joint_distance_rad,
+        wrist_shift_mm: f.wrist_shift_mm,
+        wrist_turn_rad: f.wrist_turn_rad,
+        joint_speed_rad_s: f.joint_speed_rad_s,
+        force_closure: f.evaluation.force_closure,
+        grip_force_per_weight: f.grip_force_per_weight,
+        flags: &f.flags,
     }
 }
 
@@ -174,9 +173,8 @@ impl Summary {
     fn of(result: &GraspRetargeting) -> Self {
         let held: Vec<_> = result.frames.iter().filter(|f| f.held).collect();
         let most = |v: &dyn Fn(&GraspFrame) -> f64| result.frames.iter().map(v).fold(0.0, f64::max);
-        let touching = |f: &GraspFrame| {
-            f.fingers.first().is_some_and(|thumb| thumb.touches) && f.fingers.iter().filter(|x| x.touches).count() >= 3
-        };
+        // Its failures begin with who does not touch.
+        let touching = |f: &GraspFrame| !f.evaluation.failures.iter().any(|why| why.contains("touch the object"));
         let mut grip_forces: Vec<f64> = held.iter().filter_map(|f| f.grip_force_per_weight).collect();
         grip_forces.sort_by(f64::total_cmp);
         Self {
@@ -185,8 +183,8 @@ impl Summary {
             contact: held.iter().filter(|f| touching(f)).count(),
             closed: held.iter().filter(|f| f.grip_force_per_weight.is_some()).count(),
             grip_force: grip_forces.get(grip_forces.len() / 2).copied(),
-            penetration_mm: most(&|f| f.penetration_mm),
-            self_collision_mm: most(&|f| f.self_collision.as_ref().map_or(0.0, |c| c.depth_mm)),
+            penetration_mm: most(&|f| f.evaluation.penetration_mm),
+            self_collision_mm: most(&|f| f.evaluation.self_collision.as_ref().map_or(0.0, |c| c.depth_mm)),
             joint_distance_rad: (!held.is_empty())
                 .then(|| held.iter().map(|f| f.mean_joint_distance_rad).sum::<f64>() / held.len() as f64),
             wrist_shift_mm: most(&|f| f.wrist_shift_mm),
@@ -210,11 +208,11 @@ fn text(demo: &Demonstration, hand: &TargetHand, result: &GraspRetargeting, s: &
             "  {:5} {} {:>20.1} mm {:4.2} rad {:3.0} mm {}{}",
             d.index,
             gaps.join(" "),
-            f.penetration_mm,
+            f.evaluation.penetration_mm,
             f.mean_joint_distance_rad,
             f.wrist_shift_mm,
             f.grip_force_per_weight.map_or("cannot carry".into(), |w| format!("{w:.1} weights")),
-            reasons(&f.verdict).iter().map(|r| format!("; {r}")).collect::<String>()
+            f.reasons.iter().map(|r| format!("; {r}")).collect::<String>()
         ));
     }
     let percent = |n| s.share(n).map_or("-".into(), |v| format!("{:.0} %", 100.0 * v));

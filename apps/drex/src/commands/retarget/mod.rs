@@ -8,12 +8,12 @@ mod stream;
 use std::path::Path;
 
 use anyhow::{Context, Result, bail};
-use drex_core::Pose;
 use drex_core::mesh::convex_hull;
+use drex_core::{Pose, pose};
 use drex_demo::{Demonstration, LoadOptions, RegisterOptions, Side, read_point_frames};
 use drex_mesh::{MeshSdf, metric_mesh};
 use drex_retarget::{RetargetOptions, TargetHand};
-use nalgebra::{Unit, UnitQuaternion, Vector3};
+use nalgebra::{Unit, Vector3};
 
 use crate::cli::{ObjectiveArg, ReadingArgs, RetargetArgs};
 use crate::ui::Ui;
@@ -134,10 +134,8 @@ fn up(args: &RetargetArgs, demo: &Demonstration, ui: &Ui) -> Option<Unit<Vector3
     })
 }
 
-/// The rotation that makes `up` vertical, for pictures.
+/// The pose that makes `up` vertical, for pictures; half a turn about x, as for a camera, where nobody knows it.
 fn upright(up: Option<Unit<Vector3<f64>>>) -> Pose {
-    let turn = up.and_then(|up| UnitQuaternion::rotation_between(&up, &Vector3::z_axis()));
-    // Exactly upside down leaves the axis open.
-    let turn = turn.unwrap_or_else(|| UnitQuaternion::from_axis_angle(&Vector3::x_axis(), std::f64::consts::PI));
+    let turn = pose::upright(&up.unwrap_or(-Vector3::z_axis()));
     Pose::from_parts(nalgebra::Translation3::identity(), turn)
 }

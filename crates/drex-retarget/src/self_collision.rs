@@ -1,11 +1,11 @@
-//! Does the hand hit itself? Points on every collision shape against the exact distance of the others.
+//! What keeps the hand from hitting itself while it is solved: points on every collision shape against the exact distance of the others.
 
 use drex_core::Pose;
 use drex_robot::{Geom, Link, Robot, Shape};
 use nalgebra::{Point3, Translation3, Vector3};
 
-use super::surface_points::ball;
-
+/// Links keep this distance from each other while a hand is solved, metres: about what the points on the shapes miss.
+pub(crate) const CLEARANCE_M: f64 = 0.0015;
 /// Distance between the points on a shape, metres.
 const SPACING_M: f64 = 0.007;
 /// A round shape reaches at most this far beyond its points, m.
@@ -15,7 +15,7 @@ const PLATE_M: f64 = 0.004;
 /// Step of the numeric normal, metres.
 const NORMAL_STEP_M: f64 = 1e-5;
 
-/// The collision shapes of a robot.
+/// The collision shapes of a robot as a search sees them.
 #[derive(Debug, Clone)]
 pub(crate) struct CollisionShapes {
     shapes: Vec<CollisionShape>,
@@ -53,27 +53,18 @@ pub(crate) struct LinkProximity {
 }
 
 impl CollisionShapes {
-    /// The shapes as they are.
+    /// Thin plates reach to the middle of their link, so that there is one way out of them, outwards; what an evaluation measures are the shapes as they
+    /// are ([`drex_grasp::HandSurface::self_collision`]).
     pub(crate) fn new(robot: &Robot) -> Self {
-        Self::of(robot, |_, geom| (geom.shape.clone(), geom.link_from_geom))
-    }
-
-    /// The shapes for a search: thin plates reach to the middle of their link, so that there is one way out of them, outwards.
-    pub(crate) fn filled(robot: &Robot) -> Self {
-        Self::of(robot, |link, geom| filled(geom, link))
-    }
-
-    fn of(robot: &Robot, shape: impl Fn(&Link, &Geom) -> (Shape, Pose)) -> Self {
         let mut shapes: Vec<CollisionShape> = Vec::new();
         let mut links = Vec::new();
         for link in &robot.links {
             let start = shapes.len();
             let closed = link.geoms.iter().filter(|g| g.collides() && g.shape.is_closed());
-            shapes.extend(
-                closed
-                    .map(|g| shape(link, g))
-                    .map(|(shape, link_from_shape)| CollisionShape::new(shape, link_from_shape)),
-            );
+            shapes.extend(closed.map(|g| {
+                let (shape, link_from_shape) = filled(g, link);
+                CollisionShape::new(shape, link_from_shape)
+            }));
             let all: Vec<Point3<f64>> = shapes[start..].iter().flat_map(|p| p.points.iter().copied()).collect();
             let (center, radius_m) = ball(&all);
             links.push((center, radius_m, start..shapes.len()));
@@ -232,4 +223,12 @@ fn filled(geom: &Geom, link: &Link) -> (Shape, Pose) {
 
 fn far(a: &Point3<f64>, b: &Point3<f64>, limit: f64) -> bool {
     (a - b).norm_squared() > limit * limit
+}
+
+/// Centre of the bounding box and the furthest point from it.
+pub(crate) fn ball(points: &[Point3<f64>]) -> (Point3<f64>, f64) {
+    let Some(first) = points.first() else { return (Point3::origin(), 0.0) };
+    let (lo, hi) = points.iter().fold((*first, *first), |(lo, hi), p| (lo.inf(p), hi.sup(p)));
+    let center = nalgebra::center(&lo, &hi);
+    (center, points.iter().map(|p| (p - center).norm()).fold(0.0, f64::max))
 }

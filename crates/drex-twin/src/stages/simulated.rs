@@ -29,14 +29,11 @@ impl Simulated {
     /// The demonstrated grasps, and those made of them, that are worth simulating; behind them what a synthesis from `search`
     /// candidates finds.
     pub fn grasps(&self, fits: &FitFile, search: usize, seed: u64) -> Result<Vec<Grasp>> {
-        let options = EvaluationOptions::of_candidate(&self.object);
+        let options = EvaluationOptions::candidate();
         let surface = HandSurface::new(&self.robot, options.contact.spacing_m)?;
         let mut grasps = Vec::new();
         for fit in fits.grasps.iter().filter(|g| g.accepted) {
-            let pose = fit.object_from_base.to_pose()?;
-            let grasp = Grasp::new(&self.robot, fit.joints_rad.clone(), pose);
-            let screened = grasp.screened(&surface, &self.object, &self.robot, &options)?;
-            grasps.extend(screened.map(|g| Grasp { source: fit.demonstration, origin: fit.origin(), ..g }));
+            grasps.extend(fit.grasp(&self.robot)?.screened(&surface, &self.object, &self.robot, &options)?);
         }
         if search > 0 {
             grasps.extend(synthesize_grasps(&self.object, &self.robot, search, seed)?);
