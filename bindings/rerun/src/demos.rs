@@ -1,7 +1,5 @@
 //! Demonstrations of people: key points of a hand about the object at rest.
 
-use std::path::{Path, PathBuf};
-
 use anyhow::{Context, Result};
 use drex_demo::{Demonstration, KEYPOINTS, KeyPoints, LoadOptions};
 use drex_twin::manifest::RecordedAs;
@@ -12,15 +10,13 @@ use re_sdk_types::components::LineStrip3D;
 use crate::recorder::{Recorder, Times, point};
 use crate::twin::Twin;
 
-/// Endings of demonstrations in a folder.
-const ENDINGS: [&str; 3] = ["json", "jsonl", "npz"];
 const POINT_M: f32 = 0.003;
 const BONE_M: f32 = 0.0012;
 const SKIN_RGB: [u8; 3] = [196, 130, 98];
 
 /// Records every clip on a timeline of its own.
 pub fn record(recorder: &Recorder, twin: &mut Twin) -> Result<()> {
-    let Some(config) = twin.manifest.grasps.clone() else {
+    let Some(config) = &twin.folder.manifest.grasps else {
         twin.missing.push("demonstrations, grasps and trial: the manifest has no [grasps]".into());
         return Ok(());
     };
@@ -28,7 +24,7 @@ pub fn record(recorder: &Recorder, twin: &mut Twin) -> Result<()> {
         // Joint angles without a wrist; where the hand was is found by the stage grasps.
         return Ok(());
     }
-    for file in files(&twin.path(&config.file))? {
+    for file in twin.folder.demonstrations()? {
         let demo = Demonstration::load(&file, &LoadOptions::default())?;
         let clip = file.file_stem().unwrap_or_default().to_string_lossy().into_owned();
         let (mut times_s, mut hands) = (Vec::new(), Vec::new());
@@ -73,21 +69,6 @@ fn bones(hand: &KeyPoints) -> Vec<LineStrip3D> {
         Some(LineStrip3D::from(points?))
     };
     (1..KEYPOINTS).step_by(4).filter_map(chain).collect()
-}
-
-/// The file, or every demonstration in the folder by name.
-fn files(path: &Path) -> Result<Vec<PathBuf>> {
-    if !path.is_dir() {
-        return Ok(vec![path.to_path_buf()]);
-    }
-    let context = || format!("cannot list {}", path.display());
-    let mut files = Vec::new();
-    for entry in std::fs::read_dir(path).with_context(context)? {
-        files.push(entry.with_context(context)?.path());
-    }
-    files.retain(|f| f.extension().is_some_and(|e| ENDINGS.iter().any(|ending| e.eq_ignore_ascii_case(ending))));
-    files.sort();
-    Ok(files)
 }
 
 #[cfg(test)]

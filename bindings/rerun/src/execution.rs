@@ -3,31 +3,22 @@
 use anyhow::{Context, Result};
 use drex_core::fsutil;
 use drex_recording::readers::Table;
-use serde::Deserialize;
+use drex_twin::records::{EXECUTION, EXECUTION_LOG, ExecutionFile};
 
 use crate::recorder::{Recorder, Times};
 use crate::twin::Twin;
 
-const LOG: &str = "policy/execution.csv";
-
-/// What of `policy/execution.json` is needed.
-#[derive(Deserialize)]
-struct ExecutionFile {
-    hand: String,
-    not_driven: Option<String>,
-}
-
 /// Records the log of the joints on the timeline `execution`, seconds from its first row.
 pub fn record(recorder: &Recorder, twin: &mut Twin) -> Result<()> {
-    if twin.manifest.grasps.is_none() {
+    if twin.folder.manifest.grasps.is_none() {
         return Ok(());
     }
-    let Some(done) = twin.json::<ExecutionFile>("policy/execution.json", "no hand was driven")? else { return Ok(()) };
+    let Some(done) = twin.record::<ExecutionFile>(EXECUTION, "no hand was driven")? else { return Ok(()) };
     if let Some(reason) = done.not_driven {
         twin.missing.push(format!("joints: {} was not driven: {reason}", done.hand));
         return Ok(());
     }
-    let Some(path) = twin.stage(LOG, "the joints are not shown") else { return Ok(()) };
+    let Some(path) = twin.made(EXECUTION_LOG, "the joints are not shown") else { return Ok(()) };
     let table = Table::parse(&path, &fsutil::read_bytes(&path)?)?;
     let time = table.columns(&["timestamp"])?[0];
     let rows = table.rows_by_time(time)?;

@@ -41,9 +41,9 @@ pub struct Held {
 impl Hand {
     /// Of the manifest; none without `[grasps]`.
     pub fn of(twin: &mut Twin) -> Result<Option<Self>> {
-        let Some(config) = &twin.manifest.grasps else { return Ok(None) };
-        let robot = Robot::resolve(&config.hand, &twin.root)
-            .with_context(|| format!("[grasps] hand of {}", twin.path("twin.toml").display()))?;
+        let Some(config) = &twin.folder.manifest.grasps else { return Ok(None) };
+        let robot = Robot::resolve(&config.hand, &twin.folder.root)
+            .with_context(|| format!("[grasps] hand of {}", twin.folder.file.display()))?;
         let surface = HandSurface::new(&robot, ContactOptions::default().spacing_m)?;
         let tips: Vec<usize> = surface.fingers.iter().map(|f| f.tip_link).collect();
         let mut links: Vec<(usize, TriMesh, [u8; 4])> = Vec::new();
@@ -112,7 +112,7 @@ impl Hand {
         q: &[Vec<f64>],
     ) -> Result<()> {
         let Some(object) = &twin.surface else { return Ok(()) };
-        let options = ContactOptions::with_friction(twin.friction());
+        let options = ContactOptions::with_friction(twin.folder.friction());
         let (mut points, mut arrows) = (Vec::new(), Vec::new());
         for (h, q) in held.iter().zip(q) {
             let object_from_base = h.world_from_object.inverse() * h.world_from_base;

@@ -48,7 +48,7 @@ fn main() -> ExitCode {
 
 fn run(args: &Args) -> Result<()> {
     let mut twin = Twin::open(&args.twin)?;
-    let recorder = Recorder::new(&twin.manifest.name)?;
+    let recorder = Recorder::new(&twin.folder.manifest.name)?;
     scan::record(&recorder, &mut twin)?;
     object::record(&recorder, &twin)?;
     push::record(&recorder, &mut twin)?;
@@ -62,7 +62,7 @@ fn run(args: &Args) -> Result<()> {
         eprintln!("not recorded: {remark}");
     }
     let bytes = recorder.finish()?;
-    let out = args.out.clone().unwrap_or_else(|| twin.root.join("twin.rrd"));
+    let out = args.out.clone().unwrap_or_else(|| twin.folder.path("twin.rrd"));
     fsutil::write_atomic(&out, &bytes)?;
     writeln!(std::io::stdout(), "{} ({:.1} MB)", out.display(), 1e-6 * bytes.len() as f64).context("standard output")
 }

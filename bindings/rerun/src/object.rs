@@ -27,7 +27,7 @@ pub fn record(recorder: &Recorder, twin: &Twin) -> Result<()> {
 
 /// `mesh/collision_NN.obj`, by name.
 fn pieces(twin: &Twin) -> Result<Vec<PathBuf>> {
-    let folder = twin.path("mesh");
+    let folder = twin.folder.path("mesh");
     let list = fs::read_dir(&folder).with_context(|| format!("cannot list {}", folder.display()))?;
     let mut files = Vec::new();
     for entry in list {

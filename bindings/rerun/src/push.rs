@@ -3,10 +3,10 @@
 use anyhow::{Context, Result};
 use drex_core::{Pose, pose};
 use drex_recording::{Drive, ForceProfile, PushRecording};
+use drex_sysid::PushReport;
+use drex_twin::records::{MASS, MassFile};
 use nalgebra::Vector3;
 use re_sdk_types::archetypes::Arrows3D;
-use serde::Deserialize;
-use serde::de::IgnoredAny;
 
 use crate::recorder::{Recorder, Times, mesh, point, vector};
 use crate::twin::{ARROW_M_PER_N, OBJECT_RGBA, Twin};
@@ -15,46 +15,19 @@ const TRACKED_RGBA: [u8; 4] = [0, 115, 178, 110];
 const FORCE_RGB: [u8; 3] = [204, 51, 46];
 const AXES: [&str; 3] = ["x", "y", "z"];
 
-/// What of `mass.json` is recorded.
-#[derive(Deserialize)]
-struct MassFile {
-    mass_kg: f64,
-    ci95_kg: Option<[f64; 2]>,
-    identification: Option<Identification>,
-}
-
-#[derive(Deserialize)]
-struct Identification {
-    /// kg, and half the robust sum of squares; null where it is not finite.
-    profile: Vec<(f64, Option<f64>)>,
-    pushes: Vec<Push>,
-}
-
-/// Poses are x, y, z (m), then w, x, y, z of the quaternion.
-#[derive(Deserialize)]
-struct Push {
-    name: String,
-    times_s: Vec<f64>,
-    observed: Vec<[f64; 7]>,
-    simulated: Vec<[f64; 7]>,
-    hand: Option<IgnoredAny>,
-}
-
 /// Records the mass, its likelihood and every push.
 pub fn record(recorder: &Recorder, twin: &mut Twin) -> Result<()> {
-    let Some(mass) = twin.json::<MassFile>("mass.json", "there is neither mass nor push")? else { return Ok(()) };
+    let Some(mass) = twin.record::<MassFile>(MASS, "there is neither mass nor push")? else { return Ok(()) };
     recorder.number(&["mass", "mass_kg"], mass.mass_kg)?;
-    if let Some([low, high]) = mass.ci95_kg {
-        recorder.number(&["mass", "ci95_low_kg"], low)?;
-        recorder.number(&["mass", "ci95_high_kg"], high)?;
-    }
+    recorder.number(&["mass", "ci95_low_kg"], mass.ci95_kg[0])?;
+    recorder.number(&["mass", "ci95_high_kg"], mass.ci95_kg[1])?;
     let Some(result) = mass.identification else {
         twin.missing.push("pushes: mass.json tells of none, the mass was weighed or guessed".into());
         return Ok(());
     };
     likelihood(recorder, &result.profile)?;
     for (i, push) in result.pushes.iter().enumerate() {
-        let given = twin.manifest.mass.identify.get(i).map(|p| twin.path(p));
+        let given = twin.folder.manifest.mass.identify.get(i).map(|p| twin.folder.path(p));
         let recording = match given.map(|p| PushRecording::load(&p)) {
             Some(Ok(recording)) if recording.name == push.name => Some(recording),
             Some(Err(e)) => {
@@ -63,15 +36,15 @@ pub fn record(recorder: &Recorder, twin: &mut Twin) -> Result<()> {
             }
             _ => None,
         };
-        let context = || format!("push {} of {}", push.name, twin.path("mass.json").display());
+        let context = || format!("push {} of {}", push.name, twin.folder.path(MASS).display());
         record_push(recorder, twin, push, recording.as_ref()).with_context(context)?;
     }
     Ok(())
 }
 
 /// The profile over masses in whole milligrams.
-fn likelihood(recorder: &Recorder, profile: &[(f64, Option<f64>)]) -> Result<()> {
-    let known: Vec<(f64, f64)> = profile.iter().filter_map(|(kg, cost)| Some((*kg, (*cost)?))).collect();
+fn likelihood(recorder: &Recorder, profile: &[(f64, f64)]) -> Result<()> {
+    let known: Vec<(f64, f64)> = profile.iter().copied().filter(|p| p.1.is_finite()).collect();
     let least = known.iter().map(|p| p.1).fold(f64::INFINITY, f64::min);
     // A cast of a float saturates; masses are below a ton.
     let mg: Vec<i64> = known.iter().map(|p| (1e6 * p.0).round() as i64).collect();
@@ -82,7 +55,7 @@ fn likelihood(recorder: &Recorder, profile: &[(f64, Option<f64>)]) -> Result<()>
     recorder.series(&["mass", "likelihood_to_best"], times, &likelihood)
 }
 
-fn record_push(recorder: &Recorder, twin: &Twin, push: &Push, recording: Option<&PushRecording>) -> Result<()> {
+fn record_push(recorder: &Recorder, twin: &Twin, push: &PushReport, recording: Option<&PushRecording>) -> Result<()> {
     let name = push.name.as_str();
     let timeline = format!("push_{name}");
     let times = Times::Seconds(&timeline, &push.times_s);

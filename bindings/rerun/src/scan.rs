@@ -6,15 +6,15 @@ use drex_core::capture::{Capture, Photo, PhotoOptions, Photos};
 use drex_splat::Kind;
 use drex_splat::io::read_gaussians;
 use drex_twin::cameras::cameras_of;
+use drex_twin::records::{SCAN, ScanFile};
 use image::ExtendedColorType;
 use image::codecs::jpeg::JpegEncoder;
-use nalgebra::{Point3, Similarity3};
+use nalgebra::{Point3, Similarity3, Translation3};
 use re_sdk_types::archetypes::{EncodedImage, Pinhole, Points3D};
 use re_sdk_types::components::MediaType;
-use serde::Deserialize;
 
 use crate::recorder::{Recorder, point, transform};
-use crate::twin::{Twin, similarity};
+use crate::twin::Twin;
 
 /// Longest side of a photo, pixels.
 const PHOTO_SIDE: usize = 800;
@@ -28,35 +28,25 @@ const LEAST_OPACITY: f32 = 0.1;
 /// Degree 0 of the spherical harmonics, 1 / (2 √π).
 const SH_C0: f32 = 0.282_094_79;
 
-/// What of `splat/scan.json` is needed.
-#[derive(Deserialize)]
-struct ScanFile {
-    scan: Frame,
-}
-
-#[derive(Deserialize)]
-struct Frame {
-    mesh_from_scan: [[f64; 4]; 4],
-}
-
 /// Records what the manifest's `[scan]` led to.
 pub fn record(recorder: &Recorder, twin: &mut Twin) -> Result<()> {
-    let Some(config) = twin.manifest.scan.clone() else {
+    let Some(config) = twin.folder.manifest.scan.clone() else {
         twin.missing.push("cameras and Gaussians: the manifest has no [scan], the mesh was given".into());
         return Ok(());
     };
     let placed = "cameras and Gaussians have no place in the world";
-    let Some(file) = twin.json::<ScanFile>("splat/scan.json", placed)? else { return Ok(()) };
-    let world_from_scan = similarity(&twin.world_from_mesh, &file.scan.mesh_from_scan)
-        .with_context(|| format!("{}: mesh_from_scan", twin.path("splat/scan.json").display()))?;
-    match cameras_of(&twin.path(&config.photos), &twin.path("")) {
+    let Some(file) = twin.record::<ScanFile>(SCAN, placed)? else { return Ok(()) };
+    let s = file.mesh_from_scan().with_context(|| format!("{}: mesh_from_scan", twin.folder.path(SCAN).display()))?;
+    let mesh_from_scan = Similarity3::from_parts(Translation3::from(s.translation), s.rotation, s.scale);
+    let world_from_scan = twin.world_from_mesh * mesh_from_scan;
+    match cameras_of(&twin.folder.path(&config.photos), &twin.folder.root) {
         Ok(capture) => {
             cameras(recorder, &capture, &world_from_scan)?;
             points(recorder, &capture, &world_from_scan)?;
         }
         Err(e) => twin.missing.push(format!("cameras: {e}")),
     }
-    let Some(ply) = twin.stage("splat/appearance.ply", "the Gaussians are not shown") else { return Ok(()) };
+    let Some(ply) = twin.made("splat/appearance.ply", "the Gaussians are not shown") else { return Ok(()) };
     let gaussians = read_gaussians(&ply, Kind::Ellipsoid)?.transformed(&world_from_scan)?;
     let gaussians = gaussians.filtered(|i| gaussians.opacity(i) >= LEAST_OPACITY);
     let colors = gaussians.sh.chunks_exact(gaussians.sh_stride()).map(|sh| {

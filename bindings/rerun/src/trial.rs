@@ -2,45 +2,15 @@
 
 use anyhow::{Context, Result};
 use drex_core::Pose;
-use serde::Deserialize;
+use drex_twin::records::{FilmFrame, RolloutRecord, TRIAL, TrialFile};
 
 use crate::hand::{Hand, Held};
 use crate::recorder::{Recorder, Times, mesh};
-use crate::twin::{OBJECT_RGBA, PoseRecord, Twin};
-
-/// What of `policy/trial.json` is recorded.
-#[derive(Deserialize)]
-struct TrialFile {
-    joint_names: Vec<String>,
-    held: usize,
-    n: usize,
-    interval: [f64; 2],
-    rollouts: Vec<Rollout>,
-    film: Vec<Frame>,
-}
-
-#[derive(Deserialize)]
-struct Rollout {
-    mass_kg: f64,
-    friction: f64,
-    #[serde(rename = "squeeze_n")]
-    grip_force_n: f64,
-    held_n: Option<f64>,
-}
-
-#[derive(Deserialize)]
-struct Frame {
-    time_s: f64,
-    world_from_base: PoseRecord,
-    joints_rad: Vec<f64>,
-    world_from_object: PoseRecord,
-    finger_n: Vec<f64>,
-}
+use crate::twin::{OBJECT_RGBA, Twin};
 
 /// Records the film on the timeline `trial`, the rollouts on `rollout`, numbered from 0.
 pub fn record(recorder: &Recorder, twin: &mut Twin, hand: &Hand) -> Result<()> {
-    const FILE: &str = "policy/trial.json";
-    let Some(trial) = twin.json::<TrialFile>(FILE, "there is no trial")? else { return Ok(()) };
+    let Some(trial) = twin.record::<TrialFile>(TRIAL, "there is no trial")? else { return Ok(()) };
     recorder.number(&["trial", "held"], trial.held as f64)?;
     recorder.number(&["trial", "rollouts"], trial.n as f64)?;
     recorder.number(&["trial", "interval95_low"], trial.interval[0])?;
@@ -50,31 +20,31 @@ pub fn record(recorder: &Recorder, twin: &mut Twin, hand: &Hand) -> Result<()> {
         twin.missing.push("film of the trial: no rollout could be carried out".into());
         return Ok(());
     }
-    let context = || twin.path(FILE).display().to_string();
+    let context = || twin.folder.path(TRIAL).display().to_string();
     let times_s: Vec<f64> = trial.film.iter().map(|f| f.time_s).collect();
     let times = Times::Seconds("trial", &times_s);
-    let object: Vec<Pose> = trial.film.iter().map(|f| f.world_from_object.0).collect();
+    let held: Vec<Held> = trial.film.into_iter().map(held).collect::<Result<_>>().with_context(context)?;
+    let object: Vec<Pose> = held.iter().map(|h| h.world_from_object).collect();
     recorder.poses(&["world", "trial", "object"], times, &object).with_context(context)?;
     if let Some(shape) = &twin.mesh {
         recorder.starting(&["world", "trial", "object", "mesh"], times, &mesh(shape, true, OBJECT_RGBA))?;
     }
-    let held: Vec<Held> = trial
-        .film
-        .into_iter()
-        .map(|f| Held {
-            joints_rad: f.joints_rad,
-            world_from_base: f.world_from_base.0,
-            world_from_object: f.world_from_object.0,
-            finger_n: f.finger_n,
-        })
-        .collect();
     hand.record(recorder, twin, "trial", &trial.joint_names, times, &held).with_context(context)
 }
 
-fn rollouts(recorder: &Recorder, all: &[Rollout]) -> Result<()> {
+fn held(frame: FilmFrame) -> Result<Held> {
+    Ok(Held {
+        joints_rad: frame.joints_rad,
+        world_from_base: frame.world_from_base.to_pose()?,
+        world_from_object: frame.world_from_object.to_pose()?,
+        finger_n: frame.finger_n,
+    })
+}
+
+fn rollouts(recorder: &Recorder, all: &[RolloutRecord]) -> Result<()> {
     let numbers: Vec<i64> = (0..all.len() as i64).collect();
     let times = Times::Numbers("rollout", &numbers);
-    let series = |name: &str, value: &dyn Fn(&Rollout) -> f64| {
+    let series = |name: &str, value: &dyn Fn(&RolloutRecord) -> f64| {
         let values: Vec<f64> = all.iter().map(value).collect();
         recorder.series(&["rollouts", name], times, &values)
     };

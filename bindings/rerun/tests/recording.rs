@@ -77,28 +77,36 @@ fn finished_tin() -> TempDir {
     write_json(
         root,
         "mass.json",
-        &json!({"mass_kg": 0.24, "source": "identified", "ci95_kg": [0.2, 0.3], "identification": {
+        &json!({"mass_kg": 0.24, "source": "identified", "ci95_kg": [0.2, 0.3], "sd_kg": 0.02, "grip_kg": 0.28,
+            "posterior": {"mass_kg": [0.1, 0.24, 0.4], "cost": [12.0, 0.0, 20.0]}, "identification": {
+            "verdict": "identified", "reason": "", "simulations": 9, "sensitivities": [], "assumptions": [],
             "profile": [[0.1, 12.0], [0.24, 2.0], [0.4, null]],
-            "pushes": [{"name": "tilt", "times_s": [0.0, 0.5, 1.0], "observed": [at(0.0), at(0.01), at(0.02)],
+            "pushes": [{"name": "tilt", "position_sd_m": 0.001, "rotation_sd_rad": 0.01, "outliers": 0, "notes": [],
+                        "times_s": [0.0, 0.5, 1.0], "observed": [at(0.0), at(0.01), at(0.02)],
                         "simulated": [at(0.0), at(0.012), at(0.02)]}],
         }}),
     );
     let q = vec![0.1; JOINTS.len()];
     let fit = |accepted: bool, x: f64| {
-        json!({"demonstration": 3, "accepted": accepted, "joints_rad": q, "object_from_base": pose(x, 0.1),
-               "penetration_mm": 0.5, "table_clearance_mm": 7.0, "squeeze_per_weight": null})
+        json!({"demonstration": 3, "accepted": accepted, "reasons": [], "joints_rad": q, "largest_clipping_rad": 0.0,
+               "correction_rad": q, "largest_correction_rad": 0.1, "object_from_base": pose(x, 0.1),
+               "penetration_mm": 0.5, "table_clearance_mm": 7.0, "touching": ["thumb"], "squeeze_per_weight": null})
     };
     write_json(
         root,
         "grasps/wrist_fits.json",
-        &json!({"joint_names": JOINTS, "grasps": [fit(true, 0.1), fit(false, 0.2), fit(true, 0.3)]}),
+        &json!({"schema": 1, "hand": "leap_right", "joint_names": JOINTS, "demonstrations": 3, "accepted": 2,
+            "grasps": [fit(true, 0.1), fit(false, 0.2), fit(true, 0.3)]}),
     );
     write_json(
         root,
         "policy/evaluation.json",
-        &json!({"predicted": [{"joints_rad": q, "object_from_base": pose(0.1, 0.1), "predicted_squeeze_n": 5.0, "weight": 1.0,
-            "check": {"penetration_mm": 1.0, "contacts": [{"finger": "thumb", "contacts": 2, "normal_n": 2.5},
-                                                          {"finger": "palm", "contacts": 0, "normal_n": 0.0}]}}]}),
+        &json!({"mass_kg": 0.28, "friction": 0.5, "refined": [], "demonstrations": [],
+            "predicted": [{"joints_rad": q, "object_from_base": pose(0.1, 0.1), "predicted_squeeze_n": 5.0, "weight": 1.0,
+            "check": {"passed": false, "failures": ["too deep"], "penetration_mm": 1.0, "table_penetration_mm": 0.0,
+                      "force_closure": true, "squeeze_n": 5.0, "mass_kg": 0.28, "friction": 0.5, "gamma": 1.0,
+                      "contacts": [{"finger": "thumb", "contacts": 2, "normal_n": 2.5},
+                                   {"finger": "palm", "contacts": 0, "normal_n": 0.0}]}}]}),
     );
     let frame = |t: f64, z: f64| {
         json!({"time_s": t, "world_from_base": pose(0.1, 0.1 + z), "joints_rad": q, "world_from_object": pose(0.0, z),
@@ -107,12 +115,18 @@ fn finished_tin() -> TempDir {
     write_json(
         root,
         "policy/trial.json",
-        &json!({"joint_names": JOINTS, "held": 1, "n": 2, "interval": [0.1, 0.9],
-            "rollouts": [{"mass_kg": 0.23, "friction": 0.5, "squeeze_n": 5.0, "held_n": 4.5},
-                         {"mass_kg": 0.25, "friction": 0.5, "squeeze_n": 0.0, "held_n": null}],
-            "film": [frame(0.0, 0.0), frame(0.08, 0.05), frame(0.16, 0.1)]}),
+        &json!({"schema": 1, "hand": "leap_right", "joint_names": JOINTS, "mass_kg": 0.28, "mass_median_kg": 0.24,
+            "mass_ci95_kg": [0.2, 0.3], "mass_sd_kg": 0.02, "friction": [0.4, 0.6], "held": 1, "n": 2, "interval": [0.1, 0.9],
+            "rollouts": [{"verdict": "success", "mass_kg": 0.23, "friction": 0.5, "proposal": 1, "squeeze_n": 5.0, "held_n": 4.5},
+                         {"verdict": "cannot_carry", "mass_kg": 0.25, "friction": 0.5, "proposal": 0, "squeeze_n": 0.0, "held_n": null}],
+            "filmed": 0, "film": [frame(0.0, 0.0), frame(0.08, 0.05), frame(0.16, 0.1)]}),
     );
-    write_json(root, "policy/execution.json", &json!({"hand": "leap_right", "unit": "mA"}));
+    write_json(
+        root,
+        "policy/execution.json",
+        &json!({"schema": 1, "hand": "leap_right", "emulated": true, "unit": "mA", "joint_names": JOINTS, "open_rad": q,
+            "closed_rad": q, "closing_limits": q, "force_limits": q, "held": true, "contacts": []}),
+    );
     write(
         root,
         "policy/execution.csv",
@@ -284,7 +298,9 @@ fn what_no_stage_has_made_is_remarked_and_the_rest_recorded() {
 #[test]
 fn a_push_that_a_camera_of_unknown_place_tracked_is_not_put_into_the_world() {
     let twin = finished_tin();
-    edit(&twin.path().join("mass.json"), "\"name\":\"tilt\"", "\"hand\":{\"fingers\":[]},\"name\":\"tilt\"");
+    let hand = json!({"up_in_tracked": [0, 0, 1], "runner_up_odds": 0.1, "motion_start_s": [0.2, 0.1], "trusted_until_s": 1.0,
+        "fingers": [], "budget": []});
+    edit(&twin.path().join("mass.json"), "\"name\":\"tilt\"", &format!("\"hand\":{hand},\"name\":\"tilt\""));
     let (_, seen) = recorded(twin.path());
     assert_eq!(seen.places("/tracker/push/tilt/tracked").len(), 3);
     assert!(!seen.0.keys().any(|k| k.starts_with("/world/push")));
@@ -323,7 +339,13 @@ fn a_scan_and_the_clips_of_a_person_have_their_place_in_the_world() {
     );
     write(root, "asset/object.xml", model);
     let similarity = [[0.5, 0.0, 0.0, 0.1], [0.0, 0.5, 0.0, 0.0], [0.0, 0.0, 0.5, 0.0], [0.0, 0.0, 0.0, 1.0]];
-    write_json(root, "splat/scan.json", &json!({"scan": {"mesh_from_scan": similarity}}));
+    let frame = json!({"scan": "scan", "metres_per_unit": 0.5, "scale_from": "marker", "up_from": "marker", "up_in_mesh": [0, 0, 1],
+        "mesh_from_scan": similarity, "others_on_table": 0});
+    let fusion = json!({"views": 40, "used_views": 40, "voxel_m": 0.001, "truncation_m": 0.004, "wall_below_resolution": false,
+        "footprint_m": 0.001, "noise_m": 0.001, "spread_m": 0.001, "blocks": 1, "volume_bytes": 1, "volume_m3": 0.001,
+        "seen_share": 1.0, "unseen_share": 0.0, "support_share": 0.0, "parts": 1, "dropped_parts": 0, "dropped": [],
+        "filled_hollows": 0});
+    write_json(root, "splat/scan.json", &json!({"scan": frame, "fusion": fusion}));
     let mut gaussians = Gaussians::new(Kind::Ellipsoid, 0);
     for opacity in [3.0, -6.0] {
         gaussians.means.push([0.2, 0.4, 0.0]);
@@ -369,7 +391,7 @@ fn a_scan_and_the_clips_of_a_person_have_their_place_in_the_world() {
 #[test]
 fn a_damaged_file_is_named_and_nothing_is_written() {
     for (file, from, to, says) in [
-        ("mass.json", "\"mass_kg\":0.24", "\"mass_kg\":\"much\"", "delete it and run drex run again"),
+        ("mass.json", "\"mass_kg\":0.24", "\"mass_kg\":\"much\"", "delete it and run again"),
         ("mass.json", "\"times_s\":[0.0,0.5,1.0]", "\"times_s\":[0.0,0.5]", "3 rows for 2 times"),
         ("policy/trial.json", "\"th_ipl\"", "\"th_ipx\"", "th_ipx"),
         ("policy/trial.json", "\"quat_wxyz\":[1.0,", "\"quat_wxyz\":[2.0,", "norm 2"),

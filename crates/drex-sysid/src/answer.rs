@@ -1,6 +1,7 @@
 //! The answer: a mass with an interval, or why there is none.
 
-use serde::{Deserialize, Serialize};
+use serde::de::IgnoredAny;
+use serde::{Deserialize, Deserializer, Serialize};
 
 use crate::MassDistribution;
 use crate::bound::Bound;
@@ -47,6 +48,7 @@ pub struct Identification {
     /// Standard deviation of the logarithm of the mass, all sources of error together; absent when it is infinite.
     pub sd_log_mass: Option<f64>,
     /// Its parts, of the simulated pushes.
+    #[serde(default, deserialize_with = "budget")]
     pub error_budget: Option<ErrorBudget>,
     /// What else was estimated.
     #[serde(default)]
@@ -57,9 +59,30 @@ pub struct Identification {
     pub assumptions: Vec<String>,
     /// Mass (kg) and minus the logarithm of the density of ln m, up to a constant, by mass, where there is an interval; elsewhere the
     /// costs of the scan (half the robust sum of squares, errors of the track fitted).
+    #[serde(deserialize_with = "costs")]
     pub profile: Vec<(f64, f64)>,
     /// One per push.
     pub pushes: Vec<PushReport>,
+}
+
+/// Reads masses and costs: a cost that is not finite, of a mass that could not be simulated, is null in JSON.
+fn costs<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Vec<(f64, f64)>, D::Error> {
+    let pairs: Vec<(f64, Option<f64>)> = Vec::deserialize(deserializer)?;
+    Ok(pairs.into_iter().map(|(mass, cost)| (mass, cost.unwrap_or(f64::INFINITY))).collect())
+}
+
+/// Reads the budget: none where a former version divided the error otherwise.
+fn budget<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Option<ErrorBudget>, D::Error> {
+    #[derive(Deserialize)]
+    #[serde(untagged)]
+    enum Budget {
+        Present(ErrorBudget),
+        Former(IgnoredAny),
+    }
+    Ok(match Option::<Budget>::deserialize(deserializer)? {
+        Some(Budget::Present(budget)) => Some(budget),
+        Some(Budget::Former(_)) | None => None,
+    })
 }
 
 impl Identification {

@@ -108,6 +108,14 @@ mod tests {
         posterior.contradiction_sd.is_some_and(|sd| sd > CONTRADICTS_SD)
     }
 
+    #[test]
+    fn a_mass_that_could_not_be_simulated_survives_the_file() {
+        let mut of = answer(serde_json::json!({ "profile": [[0.1, 1.0], [0.2, 2.0]] }));
+        of.profile[1].1 = f64::INFINITY;
+        let read: Identification = serde_json::from_str(&serde_json::to_string(&of).unwrap()).unwrap();
+        assert_eq!(read.profile, [(0.1, 1.0), (0.2, f64::INFINITY)]);
+    }
+
     /// An answer of pushes of a hand: a normal law of ln m, or that law as a bound from above.
     fn hand(median_kg: f64, sd_log: f64, from_above: bool) -> Identification {
         let cost =

@@ -3,10 +3,10 @@
 use std::path::Path;
 
 use drex_core::capture::{Capture, PhotoOptions, Photos, read_rgb};
-use drex_mesh::{ModelPart, Similarity, read_model};
+use drex_mesh::{ModelPart, read_model};
 use drex_mvs::textured_points;
 use drex_splat::train::SurfacePoint;
-use nalgebra::{Matrix4, Point3};
+use nalgebra::Point3;
 
 use crate::masks::MASKS;
 use crate::records::{ScanFile, read_json};
@@ -53,15 +53,11 @@ pub fn points_on_asset(out: &Path, capture: &mut Capture, progress: &dyn Progres
 /// Whether the mesh was held against cameras of the capture, and no others.
 fn is_of(made: &ScanFile, capture: &Capture) -> Result<bool> {
     let Some(evidence) = made.evidence.as_ref().filter(|e| !e.cameras.is_empty()) else { return Ok(false) };
-    let mesh_from_scan = mesh_from_scan(made)?;
+    let mesh_from_scan = made.mesh_from_scan()?;
     let centres: Vec<Point3<f64>> = capture.centres().iter().map(|c| mesh_from_scan.point(c)).collect();
     let near = SAME_PLACE * mesh_from_scan.scale * capture.extent();
     let mut poses = evidence.cameras.iter().map(|c| c.world_from_camera.translation_m);
     Ok(poses.all(|p| centres.iter().any(|c| (c - Point3::from(p)).norm() <= near)))
-}
-
-fn mesh_from_scan(made: &ScanFile) -> Result<Similarity> {
-    Ok(Similarity::from_matrix(&Matrix4::from_fn(|r, c| made.scan.mesh_from_scan[r][c]))?)
 }
 
 /// Points spread over a mesh in the colours of the picture on it, in the frame and unit of the scan; none if there is no picture.
@@ -71,7 +67,7 @@ pub(crate) fn points_on(mesh: &Path, made: &ScanFile) -> Result<Vec<SurfacePoint
         return Ok(Vec::new());
     }
     let (size, rgb) = read_rgb(&picture)?;
-    let scan_from_mesh = mesh_from_scan(made)?.inverse();
+    let scan_from_mesh = made.mesh_from_scan()?.inverse();
     let mut out = Vec::with_capacity(BORN);
     for ModelPart { mesh, uv, .. } in read_model(mesh)?.parts {
         let Some(uv) = uv else { continue };

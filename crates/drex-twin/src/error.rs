@@ -37,18 +37,22 @@ pub enum Error {
     #[error(transparent)]
     Mesh(#[from] drex_mesh::Error),
     /// The photos have no cameras that can be trusted.
+    #[cfg(feature = "stages")]
     #[error(transparent)]
     Cameras(#[from] drex_sfm::Verdict),
     /// The object cannot be cut out of the photos.
+    #[cfg(feature = "stages")]
     #[error(transparent)]
     Masks(#[from] drex_sfm::masks::MaskError),
     /// The photos cannot be used.
+    #[cfg(feature = "stages")]
     #[error(transparent)]
     Splat(#[from] drex_splat::Error),
     /// The pushes do not tell the mass, or the prior is wrong.
     #[error(transparent)]
     Sysid(#[from] drex_sysid::SysidError),
     /// A demonstration cannot be retargeted.
+    #[cfg(feature = "stages")]
     #[error(transparent)]
     Retarget(#[from] drex_retarget::Error),
     /// A grasp cannot be analysed.
@@ -58,6 +62,7 @@ pub enum Error {
     #[error(transparent)]
     Trial(#[from] drex_trial::Error),
     /// The network cannot be trained or asked.
+    #[cfg(feature = "stages")]
     #[error(transparent)]
     Policy(#[from] drex_policy::Error),
     /// The hand failed.

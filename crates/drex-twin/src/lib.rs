@@ -10,23 +10,20 @@
 //! [`Twin::open`] reads the manifest, [`Twin::run`] does every stage whose inputs changed, [`Predictor`] gives the grasp of a
 //! trained twin and [`deploy`](deploy::deploy) carries it out. What stages write is read with the types of [`records`].
 //!
-//! Without the default feature `stages` there are the [`manifest`] and the [`cameras`] of a scan only, for programs that read twin
-//! folders and need neither burn nor the engine that finds cameras.
+//! Without the default feature `stages` a twin folder is read and not run: there are [`Twin`], its [`manifest`], [`lock`] and
+//! [`records`], and the [`cameras`] of a scan, for programs that need neither burn nor the engine that finds cameras.
 
 #[cfg(feature = "stages")]
 pub mod born;
 pub mod cameras;
 #[cfg(feature = "stages")]
 pub mod deploy;
-#[cfg(feature = "stages")]
 mod error;
-#[cfg(feature = "stages")]
 mod hand;
 #[cfg(feature = "stages")]
 mod inputs;
 #[cfg(feature = "stages")]
 pub mod learn;
-#[cfg(feature = "stages")]
 pub mod lock;
 pub mod manifest;
 #[cfg(feature = "stages")]
@@ -47,7 +44,6 @@ mod progress;
 pub mod rank;
 #[cfg(feature = "stages")]
 pub mod reconstruct;
-#[cfg(feature = "stages")]
 pub mod records;
 #[cfg(feature = "stages")]
 mod scale;
@@ -65,20 +61,21 @@ mod surfels;
 mod texture;
 #[cfg(feature = "stages")]
 pub mod timings;
-#[cfg(feature = "stages")]
 mod twin;
 
-#[cfg(feature = "stages")]
 pub use {
     error::{Error, Result},
     hand::with_torque_cap,
+    twin::Twin,
+};
+#[cfg(feature = "stages")]
+pub use {
     inputs::Stage,
     pipeline::{Reporter, RunOptions, RunSummary},
     predict::{PredictOptions, Prediction, Predictor, predict},
     progress::Progress,
     scene::Scene,
     stages::recordings,
-    twin::Twin,
 };
 
 #[cfg(all(test, feature = "stages"))]

@@ -10,11 +10,11 @@ use drex_mesh::{
     TablePlane, UpPrior, find_objects, silhouette_base, support_plane,
 };
 use nalgebra::{Point2, Point3, Unit, Vector3};
-use serde::{Deserialize, Serialize};
 
 use crate::Result;
 use crate::error::refuse;
 use crate::manifest::ObjectClick;
+use crate::records::OtherPlane;
 
 /// A support's normal may be this far from an up direction that is given, rad.
 const UP_TOLERANCE_RAD: f64 = 0.26;
@@ -79,17 +79,6 @@ impl ObjectClick {
             ),
         }
     }
-}
-
-/// A plane that could have been the table.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-pub struct OtherPlane {
-    /// Angle to the one taken, degrees.
-    pub tilt_deg: f64,
-    /// Height above the one taken, below the point that the cameras look at; metres.
-    pub above_m: f64,
-    /// Its score, from 0 to 1.
-    pub score: f64,
 }
 
 /// The table and the box of the object on it.

@@ -5,16 +5,18 @@ use std::path::Path;
 use crate::Result;
 use crate::error::Context;
 use drex_core::{PoseRecord, fsutil};
-use drex_grasp::{Grasp, GraspEvaluation, GraspOrigin, GripForcePolicy, OriginCounts};
+use drex_grasp::{Grasp, GraspEvaluation, GraspOrigin, GripForcePolicy};
 use drex_hw::driver::ContactRecord;
-use drex_mesh::{FusionReport, ScanEvidence};
-use drex_policy::TrainReport;
 use drex_robot::Robot;
 use drex_sysid::{Identification, MassDistribution, MassPosterior, MassPrior, MassSource};
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 
-use crate::scan::{FrameReport, GapReport, Refinement};
+mod scan;
+
+pub use self::scan::{
+    FrameReport, GapReport, OtherPlane, Refinement, ScanFile, SplatReport, SplatScore, SplatScores, SplatSet,
+};
 
 /// Result of the scan stage.
 pub const SCAN: &str = "splat/scan.json";
@@ -43,75 +45,6 @@ pub const TRIAL: &str = "policy/trial.json";
 pub const EXECUTION: &str = "policy/execution.json";
 /// Log of the hand's joints while the execute stage ran.
 pub const EXECUTION_LOG: &str = "policy/execution.csv";
-
-/// What of `splat/report.json` is told.
-#[derive(Debug, Clone, Deserialize)]
-pub struct SplatReport {
-    /// Number of photos that the Gaussians learned from.
-    pub photos_trained: usize,
-    /// Number of photos that they were compared with.
-    pub photos_held_out: usize,
-    /// Ellipsoids, for looks.
-    pub appearance: SplatSet,
-}
-
-/// A set of Gaussians.
-#[derive(Debug, Clone, Deserialize)]
-pub struct SplatSet {
-    /// How many there are.
-    pub gaussians: usize,
-    /// Steps of the training.
-    pub iterations: u32,
-    /// Scores on the photos held out.
-    pub held_out: SplatScores,
-}
-
-/// Scores on photos that were held out.
-#[derive(Debug, Clone, Deserialize)]
-pub struct SplatScores {
-    /// One per photo.
-    pub rows: Vec<SplatScore>,
-}
-
-/// How well a photo is matched.
-#[derive(Debug, Clone, Deserialize)]
-pub struct SplatScore {
-    /// The photo.
-    pub name: String,
-    /// Peak signal-to-noise ratio, dB; not a number in the file where two pictures are equal.
-    pub psnr: Option<f64>,
-    /// Structural similarity, at most 1; not a number in the file where it is not defined.
-    pub ssim: Option<f64>,
-}
-
-impl SplatScores {
-    /// The mean over the photos that have a score.
-    pub fn mean(&self, score: impl Fn(&SplatScore) -> Option<f64>) -> Option<f64> {
-        let all: Vec<f64> = self.rows.iter().filter_map(score).collect();
-        (!all.is_empty()).then(|| all.iter().sum::<f64>() / all.len() as f64)
-    }
-}
-
-/// Where the mesh of a scan is, and how it came about.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct ScanFile {
-    /// Scale, table, box; maps the scan onto the mesh.
-    pub scan: FrameReport,
-    /// Whether masks were made of the photos and used.
-    #[serde(default)]
-    pub made_masks: bool,
-    /// The depth maps as they were fused.
-    pub fusion: FusionReport,
-    /// What shows best the surface that stereo did not measure, where that is much of it.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub gaps: Option<GapReport>,
-    /// How the photos moved the mesh; absent where its depth is not stereo's.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub refinement: Option<Refinement>,
-    /// What the mesh was held against, masks left out.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub evidence: Option<ScanEvidence>,
-}
 
 /// `mass.json`: the posterior of the mass and what it is made of.
 #[derive(Debug, Clone, Serialize, Deserialize)]
@@ -329,17 +262,18 @@ pub struct EvaluatedGrasp {
     pub check: GraspEvaluation,
 }
 
-/// `policy/training.json`.
+/// `policy/training.json`; not read without the feature `stages`, whose crates train.
+#[cfg(feature = "stages")]
 #[derive(Debug, Clone, Serialize, Deserialize)]
 pub struct Training {
     /// Counts of the grasps that were learned, those included that were held out to measure errors with.
-    pub learned: OriginCounts,
+    pub learned: drex_grasp::OriginCounts,
     /// Counts of the grasps that were tried: all that fit the object, and what a search found.
-    pub tried: OriginCounts,
+    pub tried: drex_grasp::OriginCounts,
     /// Pairs of grasp and mass.
     pub samples: usize,
     /// Curve, held-out errors, baselines.
-    pub report: TrainReport,
+    pub report: drex_policy::TrainReport,
     /// What was tried in simulation before it was learned.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub practice: Option<PracticeRecord>,

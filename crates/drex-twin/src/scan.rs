@@ -11,25 +11,23 @@ use drex_core::capture::{Capture, CaptureOptions, CaptureReport, PhotoOptions, P
 use drex_core::{Pose, PoseRecord, TriMesh, fsutil};
 use drex_mesh::{
     DecimateOptions, DepthCamera, DepthMap, DepthViews, Evidence, EvidenceKind, Fused, FusionOptions, Outcome,
-    RuleResult, ScaleFit, ScanCamera, ScanEvidence, ScenePoint, Silhouette, Similarity, Support, SupportEvidence,
-    SurfaceShares, TextureMap, check_scan, decimate, fuse,
+    RuleResult, ScanCamera, ScanEvidence, ScenePoint, Silhouette, Similarity, Support, SupportEvidence, SurfaceShares,
+    TextureMap, check_scan, decimate, fuse,
 };
 pub use drex_mvs::TextureReport;
 use drex_mvs::{Hold, MvsOptions, RefineOptions, Region, refine};
-use drex_sfm::MarkerReport;
 use drex_sfm::marker::Marker;
 use nalgebra::{Point3, UnitQuaternion, Vector3};
-use serde::{Deserialize, Serialize};
 
 use crate::Progress;
 use crate::manifest::ScanPreset;
 use crate::masks::{MASKS, MaskReport, Masks, made_masks_in, object_masks};
+pub use crate::place::FrameOptions;
 use crate::place::{self, box_around, sparse_points};
-pub use crate::place::{FrameOptions, OtherPlane};
 use crate::reconstruct::{Cameras, ScanInput, gpu_is_there};
+use crate::records::{FrameReport, GapReport, Refinement};
 use crate::scale::{DEPTH_CAMERA, Scale};
 use crate::stereo::{self, DEPTH, Frame, frames};
-pub use crate::surfels::GapReport;
 use crate::surfels::{Drawn, Gaps};
 use crate::texture::textured;
 
@@ -78,19 +76,6 @@ pub struct Scanning<'a> {
     pub seed: u64,
     /// ffmpeg, or a step of COLMAP, is stopped after this time.
     pub tool_limit: Duration,
-}
-
-/// How the photos moved the fused mesh to where they agree about it.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct Refinement {
-    /// Passes that were made until it stopped.
-    pub passes: usize,
-    /// Share of the vertices that photos had a say in.
-    pub seen_share: f64,
-    /// How far vertices moved: median and 95 %, metres.
-    pub moved_m: [f64; 2],
-    /// Mean correlation of the photos' windows at full size, before and after.
-    pub correlation: [Option<f64>; 2],
 }
 
 /// The closed mesh of a scan, metres.
@@ -448,60 +433,6 @@ pub struct Scan {
     pub fusion: FusionOptions,
     /// How the frame was found.
     pub frame: FrameReport,
-}
-
-/// How a scan's frame was found; written as `mesh/scan.json`.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct FrameReport {
-    /// Name of the folder of the scan.
-    pub scan: String,
-    /// Metres per unit of the scan.
-    pub metres_per_unit: f64,
-    /// Where the scale is from.
-    pub scale_from: String,
-    /// Known distances, as given and in the scaled scan.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub distances: Option<ScaleFit>,
-    /// The marker that gave the scale.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub marker: Option<MarkerReport>,
-    /// Marks in the frame of the mesh, metres.
-    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
-    pub marks_m: BTreeMap<String, [f64; 3]>,
-    /// Where up is from.
-    pub up_from: String,
-    /// Points that show the table.
-    pub table_points: Option<usize>,
-    /// Their root mean square distance from it, metres.
-    pub table_rms_m: Option<f64>,
-    /// The same in pixels: each distance divided by what a pixel of noise does to its point.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub table_rms_px: Option<f64>,
-    /// How much speaks for the table, from 0 to 1.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub table_score: Option<f64>,
-    /// What else the table could have been, best first.
-    #[serde(default, skip_serializing_if = "Vec::is_empty")]
-    pub other_planes: Vec<OtherPlane>,
-    /// Up in the frame of the mesh.
-    pub up_in_mesh: [f64; 3],
-    /// Maps points of the scan to metres in the frame of the mesh; rows of a 4 x 4 matrix. Photos: the frame of the table,
-    /// z up, the table z = 0; RGB-D recordings: the frame of the recording's poses.
-    pub mesh_from_scan: [[f64; 4]; 4],
-    /// Box that was meshed, metres, frame of the mesh.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub region_m: Option<[[f64; 3]; 2]>,
-    /// What says which thing the object is.
-    #[serde(default)]
-    pub object_from: String,
-    /// Other things that stand on the table.
-    pub others_on_table: usize,
-    /// Their boxes, metres, frame of the mesh.
-    #[serde(default, skip_serializing_if = "Vec::is_empty")]
-    pub others_m: Vec<[[f64; 3]; 2]>,
-    /// Why table or object may be the wrong one, in sentences.
-    #[serde(default, skip_serializing_if = "Vec::is_empty")]
-    pub doubts: Vec<String>,
 }
 
 impl DepthViews for Scan {

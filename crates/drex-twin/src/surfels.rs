@@ -1,7 +1,6 @@
 //! Where stereo found no depth: surfels, in those parts where they show photos held out better than what silhouettes leave.
 
 use std::collections::{HashMap, HashSet};
-use std::fmt;
 use std::path::Path;
 
 use drex_core::TriMesh;
@@ -15,8 +14,8 @@ use drex_splat::train::{Preset, Progress as TrainStep, SurfacePoint};
 use drex_splat::{Cpu, Gaussians, Rasterizer, ReconstructOptions, RenderOptions, train_surfels};
 use nalgebra::Point3;
 use rayon::prelude::*;
-use serde::{Deserialize, Serialize};
 
+use crate::records::GapReport;
 use crate::stereo::{DEPTH, shown};
 use crate::{Progress, Result};
 
@@ -38,35 +37,6 @@ const PART: f64 = 0.1;
 const LEAST_PIXELS: f64 = 100.0;
 /// Surfels are taken where their square error is less than this share of that of silhouettes: they are rougher.
 const BETTER: f64 = 0.9;
-
-/// What shows best the surface that stereo did not measure.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct GapReport {
-    /// Its share of the mesh of stereo and silhouettes.
-    pub share: f64,
-    /// Photos that were held out.
-    pub photos: usize,
-    /// Their pixels that show it.
-    pub pixels: f64,
-    /// Peak signal-to-noise ratio there, dB, of what silhouettes leave of space,
-    pub silhouettes_db: f64,
-    /// and of what surfels show.
-    pub surfels_db: f64,
-    /// Parts of it in which surfels were taken, and all parts.
-    pub parts: [usize; 2],
-}
-
-impl fmt::Display for GapReport {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let Self { share, photos, silhouettes_db, surfels_db, parts: [taken, parts], .. } = self;
-        write!(
-            f,
-            "stereo did not measure {:.0} % of the surface; there {photos} photos held out look like what silhouettes leave by {silhouettes_db:.1} dB, like \
-             what surfels show by {surfels_db:.1} dB; surfels are taken in {taken} of {parts} parts",
-            100.0 * share
-        )
-    }
-}
 
 /// The surface that stereo did not measure: what to draw of surfels, and which of its parts to take from them.
 pub(crate) struct Gaps<'a> {

@@ -1,19 +1,19 @@
 //! A twin folder: what is given, what has been made, where things lie.
 
+#[cfg(feature = "stages")]
 use std::cell::{OnceCell, RefCell};
-use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
-use std::time::Duration;
 
-use drex_core::{ASSUMED_FRICTION, fsutil};
-use drex_mesh::Asset;
+use drex_core::fsutil;
 use drex_robot::Robot;
-use drex_sfm::programs::ColmapOptions;
 
 use crate::Result;
-use crate::error::Context;
+use crate::error::{Context, refuse};
 use crate::lock::Lock;
 use crate::manifest::{MANIFEST, TwinManifest};
+
+/// Endings of demonstrations in a folder.
+const ENDINGS: [&str; 3] = ["json", "jsonl", "npz"];
 
 /// An open twin folder.
 pub struct Twin {
@@ -25,12 +25,16 @@ pub struct Twin {
     pub seed: u64,
     /// The lock: what has been made, and of what.
     pub lock: Lock,
+    /// The manifest's path.
+    pub file: PathBuf,
     /// Time after which ffmpeg, or a step of COLMAP, is stopped.
-    pub tool_limit: Duration,
-    pub(crate) file: PathBuf,
-    pub(crate) asset: OnceCell<Asset>,
+    #[cfg(feature = "stages")]
+    pub tool_limit: std::time::Duration,
+    #[cfg(feature = "stages")]
+    pub(crate) asset: OnceCell<drex_mesh::Asset>,
     /// Seconds that parts of the stage at work took.
-    pub(crate) parts: RefCell<BTreeMap<String, f64>>,
+    #[cfg(feature = "stages")]
+    pub(crate) parts: RefCell<std::collections::BTreeMap<String, f64>>,
 }
 
 impl Twin {
@@ -44,8 +48,19 @@ impl Twin {
         let root = file.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new(".")).to_path_buf();
         let seed = manifest.seed;
         let lock = Lock::open(&root);
-        let tool_limit = ColmapOptions::default().time_limit;
-        Ok(Self { root, manifest, seed, lock, tool_limit, file, asset: OnceCell::new(), parts: RefCell::default() })
+        Ok(Self {
+            root,
+            manifest,
+            seed,
+            lock,
+            file,
+            #[cfg(feature = "stages")]
+            tool_limit: drex_sfm::programs::ColmapOptions::default().time_limit,
+            #[cfg(feature = "stages")]
+            asset: OnceCell::new(),
+            #[cfg(feature = "stages")]
+            parts: RefCell::default(),
+        })
     }
 
     /// The twin with another seed than the manifest's, if one is given.
@@ -69,14 +84,38 @@ impl Twin {
         Ok(fsutil::output_path(&self.root, name)?)
     }
 
+    #[cfg(feature = "stages")]
     /// Notes for `timings.json` how many seconds a part of the stage at work took.
     pub(crate) fn took(&self, part: &str, seconds: f64) {
         self.parts.borrow_mut().insert(part.to_owned(), seconds);
     }
 
-    /// Coefficient of friction of the object against hand and table: the manifest's, or [`ASSUMED_FRICTION`].
+    /// Coefficient of friction of the object against hand and table: [`TwinManifest::friction`].
     pub fn friction(&self) -> f64 {
-        self.manifest.object.friction.unwrap_or(ASSUMED_FRICTION)
+        self.manifest.friction().0
+    }
+
+    /// The files of the demonstrations: that of the manifest, or every one in its folder by name.
+    ///
+    /// # Errors
+    /// If the manifest has no `[grasps]`, or its folder cannot be listed or holds none.
+    pub fn demonstrations(&self) -> Result<Vec<PathBuf>> {
+        let grasps = self.manifest.grasps.as_ref().context("the manifest has no [grasps]")?;
+        let path = self.path(&grasps.file);
+        if !path.is_dir() {
+            return Ok(vec![path]);
+        }
+        let entries = std::fs::read_dir(&path).with_context(|| format!("cannot list {}", path.display()))?;
+        let mut files: Vec<PathBuf> = entries
+            .map(|e| e.map(|e| e.path()))
+            .collect::<Result<_, _>>()
+            .with_context(|| path.display().to_string())?;
+        files.retain(|f| f.extension().is_some_and(|e| ENDINGS.iter().any(|ending| e.eq_ignore_ascii_case(ending))));
+        files.sort();
+        if files.is_empty() {
+            refuse!("{} holds no demonstration: put .json, .jsonl or .npz files there", path.display());
+        }
+        Ok(files)
     }
 
     /// Model of the manifest's hand, with its motors' torques known.

@@ -18,7 +18,8 @@ use serde::Serialize;
 
 use crate::cli::AssetArgs;
 use crate::ui::Ui;
-use drex_twin::scan::{FrameOptions, FrameReport, GapReport, Meshed, Refinement, Scanning, TextureReport};
+use drex_twin::records::{FrameReport, GapReport, Refinement};
+use drex_twin::scan::{FrameOptions, Meshed, Scanning, TextureReport};
 use drex_twin::timings::{self, Timing};
 
 /// What ffmpeg is asked to open.

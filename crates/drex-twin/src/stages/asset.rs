@@ -2,9 +2,6 @@
 
 use std::path::PathBuf;
 
-use drex_mesh::Similarity;
-use nalgebra::Matrix4;
-
 use super::scan::photos_of;
 use crate::records::{MASS, MassFile, SCAN, ScanFile, read_json};
 use crate::texture::textured;
@@ -15,8 +12,7 @@ pub(crate) fn make(twin: &Twin, progress: &dyn Progress) -> Result<Vec<PathBuf>>
     let mut asset = twin.asset()?.clone().with_mass(mass.mass_kg);
     if twin.manifest.scan.is_some() {
         let made: ScanFile = read_json(&twin.path(SCAN))?;
-        let matrix = made.scan.mesh_from_scan;
-        let mesh_from_scan = Similarity::from_matrix(&Matrix4::from_fn(|r, c| matrix[r][c]))?;
+        let mesh_from_scan = made.mesh_from_scan()?;
         let cameras = photos_of(twin, &made)?;
         asset.texture = textured(&asset.visual, &cameras, &mesh_from_scan, progress).map(|made| made.0);
     }

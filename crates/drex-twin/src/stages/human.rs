@@ -1,6 +1,6 @@
 //! Demonstrations of people to grasps on the object: the person's key points on the robot hand, with contacts.
 
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use crate::Result;
 use crate::error::{Context, refuse};
@@ -18,9 +18,6 @@ use crate::Twin;
 use crate::records::{ClipRecord, FitRecord, FitSource};
 use crate::scene::Scene;
 
-/// Endings of demonstrations in a folder.
-const ENDINGS: [&str; 3] = ["json", "jsonl", "npz"];
-
 /// The held frames of every demonstration and the grasps made of them.
 pub(crate) fn make(
     twin: &Twin,
@@ -28,7 +25,7 @@ pub(crate) fn make(
     scene: &Scene,
     progress: &dyn Progress,
 ) -> Result<(Vec<FitRecord>, Vec<ClipRecord>)> {
-    let files = demonstrations(&twin.path(&config.file))?;
+    let files = twin.demonstrations()?;
     let hand = hand(twin, config)?;
     let options = GraspOptions::default();
     let writer = Writer::new(scene, &options)?;
@@ -65,22 +62,6 @@ pub(crate) fn make(
     }
     records.iter_mut().enumerate().for_each(|(i, r)| r.demonstration = i);
     Ok((records, clips))
-}
-
-/// The file, or every demonstration in the folder by name.
-fn demonstrations(path: &Path) -> Result<Vec<PathBuf>> {
-    if !path.is_dir() {
-        return Ok(vec![path.to_path_buf()]);
-    }
-    let entries = std::fs::read_dir(path).with_context(|| format!("cannot list {}", path.display()))?;
-    let mut files: Vec<PathBuf> =
-        entries.map(|e| e.map(|e| e.path())).collect::<Result<_, _>>().with_context(|| path.display().to_string())?;
-    files.retain(|f| f.extension().is_some_and(|e| ENDINGS.iter().any(|ending| e.eq_ignore_ascii_case(ending))));
-    files.sort();
-    if files.is_empty() {
-        refuse!("{} holds no demonstration: put .json, .jsonl or .npz files there", path.display());
-    }
-    Ok(files)
 }
 
 fn hand(twin: &Twin, config: &GraspsConfig) -> Result<TargetHand> {
