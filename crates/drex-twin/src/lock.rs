@@ -122,13 +122,17 @@ impl Lock {
 
     /// Whether `stage` was made from exactly these inputs and its files are still as they were written.
     pub fn is_current(&self, stage: &str, inputs_sha256: &str) -> bool {
-        self.stages.get(stage).is_some_and(|record| {
-            record.inputs_sha256 == inputs_sha256
-                && record
-                    .outputs_sha256
-                    .iter()
-                    .all(|(file, digest)| std::fs::read(self.root.join(file)).is_ok_and(|b| digest_of(&b) == *digest))
-        })
+        self.altered(stage, inputs_sha256).is_some_and(|files| files.is_empty())
+    }
+
+    /// Names of the files that `stage` made from exactly these inputs and that were edited, damaged or removed since; `None` if it was made
+    /// from other inputs, or never.
+    pub fn altered(&self, stage: &str, inputs_sha256: &str) -> Option<Vec<String>> {
+        let record = self.stages.get(stage).filter(|record| record.inputs_sha256 == inputs_sha256)?;
+        let is_as_made = |file: &str, digest: &str| {
+            std::fs::read(self.root.join(file)).is_ok_and(|bytes| digest_of(&bytes) == digest)
+        };
+        Some(record.outputs_sha256.iter().filter(|(f, d)| !is_as_made(f, d)).map(|(file, _)| file.clone()).collect())
     }
 
     /// Records a finished stage and writes the lock. `outputs` are files or folders below the root. Files that the stage had

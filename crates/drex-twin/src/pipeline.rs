@@ -108,10 +108,19 @@ impl Twin {
                 continue;
             }
             let inputs = self.inputs(stage).with_context(|| format!("stage {}", stage.name()))?;
-            if self.lock.is_current(stage.name(), &inputs) && !(again && stage == last) {
+            let altered = self.lock.altered(stage.name(), &inputs);
+            if altered.as_ref().is_some_and(Vec::is_empty) && !(again && stage == last) {
                 progress.note(&format!("{:>10}  up to date", stage.name()));
                 summary.stages_current.push(stage.name());
                 continue;
+            }
+            if let Some(files) = altered.filter(|files| !files.is_empty()) {
+                progress.note(&format!(
+                    "{:>10}  {} is made again: edited, damaged or removed since it was made: {}",
+                    "note",
+                    stage.name(),
+                    some_of(&files)
+                ));
             }
             let begun = Instant::now();
             let mut outputs = self

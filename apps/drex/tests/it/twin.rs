@@ -3,11 +3,10 @@
 use crate::common;
 
 use std::fs;
-use std::path::PathBuf;
 use std::process::{Command, Stdio};
-use std::time::{Duration, Instant};
+use std::time::Instant;
 
-use crate::common::{assert_same_folder, drex, edit, keep_demonstrations, shared_data, tin_copy};
+use crate::common::{assert_same_folder, drex, edit, keep_demonstrations, shared_data, small_twin, tin_copy};
 
 #[test]
 fn the_tin_is_weighed_lifted_and_grasped_and_the_second_run_has_nothing_to_do() {
@@ -76,17 +75,9 @@ fn the_tin_is_weighed_lifted_and_grasped_and_the_second_run_has_nothing_to_do() 
     assert_eq!(weighed.json()["mass"]["source"], "weighed");
 }
 
-/// A copy of the tin's twin with little to do in every stage.
-fn small_twin() -> (tempfile::TempDir, PathBuf) {
-    let (dir, twin) = tin_copy();
-    keep_demonstrations(&twin, 6);
-    edit(&twin.join("twin.toml"), "hand = \"leap_right\"", "hand = \"leap_right\"\n\n[train]\nepochs = 5");
-    (dir, twin)
-}
-
 #[test]
 fn the_same_seed_gives_the_same_folder_with_any_threads_from_anywhere() {
-    let ((_a, one), (_b, two)) = (small_twin(), small_twin());
+    let ((_a, one), (_b, two)) = (small_twin(6), small_twin(6));
     let run = drex(["run", "--threads", "1", one.to_str().unwrap()]);
     assert_eq!(run.code, 0, "{}", run.stderr);
     // The other lies elsewhere, under another name, and is named from beside it.
@@ -109,32 +100,11 @@ fn the_same_seed_gives_the_same_folder_with_any_threads_from_anywhere() {
     for stage in ["identify", "asset", "grasps", "train", "evaluate", "trial", "execute", "report"] {
         assert!(timings["took"][stage]["seconds"].as_f64().unwrap() > 0.0, "{stage}: {timings}");
     }
-
-    // What a kill can leave at any moment, and a disk that was full, is named, removed and made good.
-    let left = ["mass.json.4711.tmp", "policy/execution.csv.part", "policy/network/policy.json.99.tmp"];
-    left.iter().for_each(|name| fs::write(one.join(name), "half").unwrap());
-    fs::create_dir(one.join(".asset.4711.tmp")).unwrap();
-    fs::remove_file(one.join("policy/execution.csv")).unwrap();
-    fs::write(one.join("asset/object.xml"), "<mujoco>").unwrap();
-    let run = drex(["run", "--json", one.to_str().unwrap()]);
-    assert_eq!(run.code, 0, "{}", run.stderr);
-    assert!(left.iter().chain(&[".asset.4711.tmp"]).all(|name| run.stderr.contains(name)), "{}", run.stderr);
-    assert_eq!(run.json()["stages_run"], serde_json::json!(["asset", "execute"]), "{}", run.stderr);
-    assert_same_folder(&one, &other);
-
-    // A lock that is damaged says so, and everything comes out as it was.
-    let lock = fs::read_to_string(one.join("twin.lock")).unwrap();
-    fs::write(one.join("twin.lock"), lock.replacen("[stage.evaluate]\n", "[stage.evaluate]\nseed = \"x\"\n", 1))
-        .unwrap();
-    let run = drex(["run", "--json", one.to_str().unwrap()]);
-    assert!(run.stderr.contains("twin.lock") && run.stderr.contains("every stage is made again"), "{}", run.stderr);
-    assert_eq!(run.json()["stages_current"], serde_json::json!([]), "{}", run.stderr);
-    assert_same_folder(&one, &other);
 }
 
 #[test]
 fn runs_killed_at_any_moment_end_in_the_same_folder() {
-    let ((_a, killed), (_b, whole)) = (small_twin(), small_twin());
+    let ((_a, killed), (_b, whole)) = (small_twin(6), small_twin(6));
     let begun = Instant::now();
     assert_eq!(drex(["run", whole.to_str().unwrap()]).code, 0);
     let took = begun.elapsed();
@@ -156,39 +126,6 @@ fn runs_killed_at_any_moment_end_in_the_same_folder() {
     let last = drex(["run", killed.to_str().unwrap()]);
     assert_eq!(last.code, 0, "{}", last.stderr);
     assert_same_folder(&killed, &whole);
-}
-
-#[test]
-fn two_runs_do_not_work_on_one_folder() {
-    let (_dir, twin) = small_twin();
-    let held = fs::File::open(twin.join("twin.toml")).unwrap();
-    held.lock().unwrap();
-    drex(["run", twin.to_str().unwrap()]).fails_with(&["another drex is at work"]);
-}
-
-#[test]
-fn a_killed_run_goes_on_where_it_stopped() {
-    let (_dir, twin) = tin_copy();
-    keep_demonstrations(&twin, 12);
-    let mut first =
-        Command::new(env!("CARGO_BIN_EXE_drex")).arg("run").arg(&twin).stderr(Stdio::null()).spawn().unwrap();
-    // Killed as soon as two stages are recorded: in the middle of the wrist fits, which take seconds.
-    let lock = twin.join("twin.lock");
-    let begun = Instant::now();
-    while !fs::read_to_string(&lock).is_ok_and(|text| text.contains("[stage.asset]")) {
-        assert!(begun.elapsed() < Duration::from_secs(120), "the first stages take too long");
-        std::thread::sleep(Duration::from_millis(20));
-    }
-    first.kill().unwrap();
-    first.wait().unwrap();
-    assert!(!twin.join("report.html").exists(), "it was killed too late for this test to tell anything");
-    // A file that a kill could have left half-written elsewhere is not trusted either.
-    fs::write(twin.join("asset/object.xml"), "<mujoco>").unwrap();
-
-    let resumed = drex(["evaluate", "--json", twin.to_str().unwrap()]);
-    assert_eq!(resumed.code, 0, "{}", resumed.stderr);
-    assert_eq!(resumed.json()["stages_current"], serde_json::json!(["identify"]), "{}", resumed.stderr);
-    assert!(fs::read_to_string(twin.join("asset/object.xml")).unwrap().ends_with("</mujoco>\n"));
 }
 
 #[test]
