@@ -13,6 +13,13 @@ pyo3::create_exception!(
     "What drex refuses: a damaged file, an impossible number, arrays that do not fit. The message says what is wrong and what to do."
 );
 
+pyo3::create_exception!(
+    drex,
+    NoCommand,
+    Error,
+    "There is no command for a grasp: the message says why, `verdict` how a trial of it ends."
+);
+
 /// What ends a call.
 #[derive(Debug)]
 pub(crate) enum Failure {
@@ -104,6 +111,44 @@ impl From<drex_sysid::SysidError> for Failure {
         match error {
             drex_sysid::SysidError::Core(inner) => inner.into(),
             drex_sysid::SysidError::Robot(inner) => inner.into(),
+            other => Self::Refused(other.to_string()),
+        }
+    }
+}
+
+impl From<drex_policy::Error> for Failure {
+    fn from(error: drex_policy::Error) -> Self {
+        match error {
+            drex_policy::Error::Core(inner) => inner.into(),
+            other => Self::Refused(other.to_string()),
+        }
+    }
+}
+
+impl From<drex_trial::Error> for Failure {
+    fn from(error: drex_trial::Error) -> Self {
+        Self::Refused(error.to_string())
+    }
+}
+
+impl From<drex_twin::Error> for Failure {
+    fn from(error: drex_twin::Error) -> Self {
+        use drex_twin::Error::{Core, Mesh, Policy, Report, Retarget, Robot, Sysid, While};
+        // What was done, then why it failed, as the command line puts it.
+        let after = |doing: String, why: String| if doing.contains(&why) { doing } else { format!("{doing}: {why}") };
+        match error {
+            While { doing, source } => match Self::from(*source) {
+                Self::File { errno, what, path } => Self::File { errno, what: after(doing, what), path },
+                Self::Refused(why) => Self::Refused(after(doing, why)),
+                python => python,
+            },
+            Core(inner) => inner.into(),
+            Mesh(inner) => inner.into(),
+            Robot(inner) => inner.into(),
+            Retarget(inner) => inner.into(),
+            Sysid(inner) => inner.into(),
+            Policy(inner) => inner.into(),
+            Report(ref why) => Self::Refused(after(error.to_string(), why.to_string())),
             other => Self::Refused(other.to_string()),
         }
     }

@@ -1,22 +1,30 @@
-//! The Python package `drex`: masses from recorded pushes, hands of people on robot hands, sim-ready assets, simulation with
-//! derivatives, kinematics. What it offers is in `python/drex/_drex.pyi`, how to use it in `README.md`.
+//! The Python package `drex`: the pipeline of a twin, masses from recorded pushes, grasps and their trials, hands of people on robot
+//! hands, sim-ready assets, simulation with derivatives, kinematics. What it offers is in `python/drex/_drex.pyi`, how to use it in `README.md`.
 
 mod arrays;
 mod failure;
+mod grasp;
 mod mesh;
+mod policy;
 mod retarget;
 mod robot;
 mod simulate;
 mod sysid;
+mod trial;
+mod twin;
 mod watch;
 
 /// The compiled part of the package `drex`.
 #[pyo3::pymodule]
 mod _drex {
     #[pymodule_export]
-    use crate::failure::Error;
+    use crate::failure::{Error, NoCommand};
+    #[pymodule_export]
+    use crate::grasp::{Grasp, PredictedGrasp};
     #[pymodule_export]
     use crate::mesh::{Asset, MeshCheck, mesh_asset, mesh_check};
+    #[pymodule_export]
+    use crate::policy::Policy;
     #[pymodule_export]
     use crate::retarget::{Retargeter, Retargeting, retarget};
     #[pymodule_export]
@@ -25,6 +33,10 @@ mod _drex {
     use crate::simulate::{Motion, simulate};
     #[pymodule_export]
     use crate::sysid::{Identification, Push, PushReport, identify};
+    #[pymodule_export]
+    use crate::trial::{Command, Outcome, Trial, TriedGrasp, find_grasp};
+    #[pymodule_export]
+    use crate::twin::{Mass, Prediction, Twin};
 
     /// The version of the package, where Python looks for it.
     #[pymodule_init]

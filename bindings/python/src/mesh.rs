@@ -4,7 +4,9 @@ use std::path::PathBuf;
 use std::sync::Arc;
 
 use drex_core::TriMesh;
-use drex_mesh::{AssetOptions, CheckOptions, asset_from_mesh, build_asset, check_asset, check_file, check_mesh};
+use drex_mesh::{
+    AssetOptions, CheckOptions, LengthUnit, asset_from_mesh, build_asset, check_asset, check_file, check_mesh,
+};
 use nalgebra::Point3;
 use numpy::{PyArray1, PyArray2, PyArrayMethods};
 use pyo3::prelude::*;
@@ -41,6 +43,63 @@ impl MeshInput {
             faces.push(row.map(|x| x as u32));
         }
         Ok(Self::Mesh(TriMesh::new(vertices, faces)?))
+    }
+
+    /// The asset of it.
+    pub(crate) fn asset(&self, options: &AssetOptions) -> Result<drex_mesh::Asset> {
+        Ok(match self {
+            Self::File(path) => build_asset(path, options)?,
+            Self::Mesh(mesh) => asset_from_mesh(mesh, options)?,
+        })
+    }
+}
+
+/// An object that is to be grasped, as Python gives it: an `Asset`, or a mesh of which one is made.
+pub(crate) struct ObjectInput {
+    source: ObjectSource,
+    mass_kg: Option<f64>,
+    friction: Option<f64>,
+}
+
+enum ObjectSource {
+    Asset(Arc<drex_mesh::Asset>),
+    Mesh(MeshInput, LengthUnit),
+}
+
+impl ObjectInput {
+    /// The object with this mass and friction; an `Asset` has its own where they are left out.
+    pub(crate) fn of(
+        value: &Bound<'_, PyAny>,
+        mass_kg: Option<f64>,
+        friction: Option<f64>,
+        unit: &str,
+    ) -> Result<Self> {
+        let source = match value.extract::<PyRef<'_, Asset>>() {
+            Ok(asset) => ObjectSource::Asset(Arc::clone(&asset.inner)),
+            Err(_) if mass_kg.is_none() => {
+                return refused("nobody says what the object weighs; give mass_kg, or an Asset with its mass");
+            }
+            Err(_) => ObjectSource::Mesh(MeshInput::of(value)?, unit.parse()?),
+        };
+        Ok(Self { source, mass_kg, friction })
+    }
+
+    /// The object, where it stands on the table z = 0. It takes seconds for a fine mesh.
+    pub(crate) fn object(&self) -> Result<drex_core::Object> {
+        let made;
+        let asset = match &self.source {
+            ObjectSource::Asset(asset) => asset.as_ref(),
+            ObjectSource::Mesh(mesh, unit) => {
+                let mut options = AssetOptions::default();
+                options.unit = *unit;
+                made = mesh.asset(&options)?;
+                &made
+            }
+        };
+        let object = asset.to_object("object")?;
+        let mut object = object.with_mass(self.mass_kg.unwrap_or(asset.properties.mass_kg));
+        object.friction = self.friction.unwrap_or(object.friction);
+        Ok(object)
     }
 }
 
@@ -208,10 +267,7 @@ pub(crate) fn mesh_asset(
     options.partition.concavity = concavity;
     let mesh = MeshInput::of(mesh)?;
     let asset = watched(py, None, move |_| {
-        let asset = match &mesh {
-            MeshInput::File(path) => build_asset(path, &options)?,
-            MeshInput::Mesh(mesh) => asset_from_mesh(mesh, &options)?,
-        };
+        let asset = mesh.asset(&options)?;
         if let Some(out) = out {
             asset.write(&out)?;
         }

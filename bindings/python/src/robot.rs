@@ -39,6 +39,31 @@ impl Robot {
     }
 }
 
+/// A hand as Python gives it: a `Robot`, or what `Robot` takes.
+#[derive(FromPyObject)]
+pub(crate) enum HandInput<'py> {
+    /// A model.
+    Model(PyRef<'py, Robot>),
+    /// Its file or name.
+    Named(PathBuf),
+}
+
+impl Default for HandInput<'_> {
+    fn default() -> Self {
+        Self::Named("leap_right".into())
+    }
+}
+
+impl HandInput<'_> {
+    /// The model.
+    pub(crate) fn model(self) -> Result<Arc<drex_robot::Robot>> {
+        match self {
+            Self::Model(robot) => Ok(Arc::clone(&robot.model)),
+            Self::Named(name) => Ok(Robot::new(name)?.model),
+        }
+    }
+}
+
 fn base_of(base: Option<&Bound<'_, PyAny>>) -> Result<Pose> {
     base.map_or(Ok(Pose::identity()), |b| pose("base", b))
 }

@@ -172,7 +172,7 @@ fn force_profile(
 /// The answer of `identify`: a mass with an interval, or why there is none. Values that there are not are None.
 #[pyclass(module = "drex", frozen)]
 pub(crate) struct Identification {
-    inner: drex_sysid::Identification,
+    pub(crate) inner: drex_sysid::Identification,
 }
 
 #[pymethods]

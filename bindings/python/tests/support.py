@@ -3,6 +3,8 @@
 import os
 import pathlib
 import tempfile
+import threading
+import time
 import unittest
 
 import numpy as np
@@ -20,6 +22,26 @@ class Case(unittest.TestCase):
         folder = tempfile.TemporaryDirectory()
         self.addCleanup(folder.cleanup)
         self.folder = pathlib.Path(folder.name)
+
+
+def runs_beside(case, call):
+    """Asserts that another thread runs on while `call` does."""
+    ticks, done = [], threading.Event()
+
+    def tick():
+        while not done.is_set():
+            ticks.append(time.monotonic())
+            time.sleep(0.002)
+
+    thread = threading.Thread(target=tick)
+    thread.start()
+    begin = time.monotonic()
+    call()
+    end = time.monotonic()
+    done.set()
+    thread.join()
+    during = [t for t in ticks if begin < t < end]
+    case.assertGreater(len(during), min(5, (end - begin) / 0.2))
 
 
 def box(x, y, z):

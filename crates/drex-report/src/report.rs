@@ -4,7 +4,6 @@ use std::path::PathBuf;
 
 use drex_core::fsutil;
 use drex_twin::lock::made_by;
-use drex_twin::records::MassFile;
 use drex_twin::{Twin, records as files};
 
 use crate::learned::Learned;
@@ -49,7 +48,7 @@ pub fn write_picture(twin: &Twin) -> Result<Vec<PathBuf>, Box<dyn std::error::Er
 /// If a record of an earlier stage is missing or damaged.
 pub fn page(twin: &Twin) -> Result<String> {
     let asset = twin.asset()?;
-    let mass: MassFile = files::read_json(&twin.path(files::MASS))?;
+    let mass = twin.mass()?;
     let learned = match &twin.manifest.grasps {
         Some(_) => Some(Learned {
             fits: files::read_json(&twin.path(files::FITS))?,

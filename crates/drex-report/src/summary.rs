@@ -26,10 +26,7 @@ pub struct Findings {
 pub fn findings(twin: &Twin, last: Stage) -> Result<Findings> {
     let mut text = format!("{}\n", twin.manifest.name);
     let mut found = Map::new();
-    let mass: Option<MassFile> = match last >= Stage::Identify {
-        true => Some(files::read_json(&twin.path(files::MASS))?),
-        false => None,
-    };
+    let mass = (last >= Stage::Identify).then(|| twin.mass()).transpose()?;
     if let Some(contradiction) = mass.as_ref().and_then(contradiction_text) {
         text += &format!("  warning    {contradiction}\n");
     }

@@ -28,6 +28,9 @@ pub enum Error {
     /// Contacts or forces could not be computed.
     #[error("the grasp cannot be analysed: {0}")]
     Grasp(#[from] drex_grasp::GraspError),
+    /// The caller stopped the work.
+    #[error("stopped before it was done; start it again")]
+    Stopped,
     /// The engine is not part of this build.
     #[error(
         "this build has no MuJoCo; build with the feature `mujoco` (the README of drex-mujoco tells how) or simulate with diffsim"

@@ -8,6 +8,7 @@ use drex_grasp::Grasp;
 use drex_robot::Robot;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
+use rayon::prelude::*;
 
 use crate::{
     Assumed, ClosingPlan, Command, Engine, Frame, GripForce, NoCommand, Outcome, Result, Trial, TrialOptions, Truth,
@@ -197,6 +198,28 @@ pub trait Evaluator: Sync {
     fn evaluate(&self, command: &Self::Command, truth: &Truth) -> Result<Evaluation>;
 }
 
+/// The grasp under each of the conditions: commanded for an object of `mass_kg` as the hand assumes it there, and carried out in the
+/// engine that evaluates. The same for any number of threads.
+///
+/// # Errors
+/// If the grasp is none of the hand, or cannot be simulated at all.
+pub fn rollouts<E: Evaluator>(
+    evaluator: &E,
+    grasp: &Grasp,
+    mass_kg: f64,
+    conditions: &[Condition],
+) -> Result<Vec<Evaluation>> {
+    let rollout = |condition: &Condition| {
+        let assumed = condition.assumed(mass_kg);
+        let closed = evaluator.close(grasp, &assumed)?;
+        match evaluator.command(&closed, &assumed, GripForce::Required)? {
+            Ok(command) => evaluator.evaluate(&command, &condition.truth(mass_kg)),
+            Err(reason) => Ok(Evaluation::refused(&reason)),
+        }
+    };
+    conditions.par_iter().map(rollout).collect()
+}
+
 /// Evaluation by trials in a simulator.
 pub struct TrialEvaluator {
     trial: Trial,
@@ -210,6 +233,11 @@ impl TrialEvaluator {
     /// As [`Trial::new`].
     pub fn new(object: &Object, robot: &Arc<Robot>, options: &TrialOptions, engine: Engine) -> Result<Self> {
         Ok(Self { trial: Trial::new(robot.clone(), object.clone(), options.clone())?, engine })
+    }
+
+    /// The hand and the object.
+    pub fn trial(&self) -> &Trial {
+        &self.trial
     }
 
     /// Frames of a command that is carried out in the engine that evaluates, one every `every_s` seconds.

@@ -1,20 +1,23 @@
 //! A grasp for an object that nobody has shown how to hold: synthesis, selection, and a trial of the best.
 
+use std::ops::ControlFlow;
 use std::sync::Arc;
+use std::sync::atomic::{AtomicUsize, Ordering};
 
 use drex_core::Object;
 use drex_grasp::{Grasp, synthesize_grasps};
 use drex_robot::Robot;
-use rayon::prelude::*;
 
 use crate::assumed::check_mass_and_friction;
 use crate::{
-    ConditionSpread, Engine, Evaluator, GripForce, Interval, Result, SelectionOptions, TrialEvaluator, TrialOptions,
-    Verdict, select_grasps, wilson,
+    ConditionSpread, Engine, Interval, Result, SelectionOptions, Stoppable, TrialEvaluator, TrialOptions, Verdict,
+    rollouts, select_grasps, wilson,
 };
 
 /// Distinguishes the seeds of the last trials from those of the selection.
 const FIND_SEED: u64 = 0x6669_6e64;
+/// Closings and trials of the selection for one grasp that is simulated, about as many as there are for a box.
+const STEPS_PER_SIMULATED: usize = 30;
 
 /// The effort of [`find_grasp`].
 #[derive(Debug, Clone, PartialEq)]
@@ -61,9 +64,27 @@ pub struct TriedGrasp {
 /// If the mass or friction of the object is none, the hand has no thumb, finger or collision shapes, its model does not say what its motors give, or the object cannot be
 /// simulated.
 pub fn find_grasp(object: &Object, hand: &Robot, options: &FindOptions) -> Result<Option<TriedGrasp>> {
+    find_grasp_watched(object, hand, options, &|_| ControlFlow::Continue(()))
+}
+
+/// [`find_grasp`], which tells `watch` about which part of the work is done, from 0 to 1, and stops where that says so. It is called from
+/// several threads.
+///
+/// # Errors
+/// As [`find_grasp`]; [`Error::Stopped`](crate::Error::Stopped) if it was stopped.
+pub fn find_grasp_watched(
+    object: &Object,
+    hand: &Robot,
+    options: &FindOptions,
+    watch: &(dyn Fn(f64) -> ControlFlow<()> + Sync),
+) -> Result<Option<TriedGrasp>> {
     check_mass_and_friction(object.mass_kg(), object.friction)?;
     let hand = Arc::new(hand.clone());
     let evaluator = TrialEvaluator::new(object, &hand, &options.trial, Engine::Diffsim)?;
+    let done = AtomicUsize::new(0);
+    let all = (STEPS_PER_SIMULATED * options.simulated + 2 * options.trials) as f64;
+    let go_on = || watch((done.fetch_add(1, Ordering::Relaxed) as f64 / all).min(1.0));
+    let evaluator = Stoppable::new(&evaluator, &go_on);
     let grasps = synthesize_grasps(object, &hand, options.candidates, options.seed)?;
     let spread = ConditionSpread::around(Some(object.friction));
     let selection = SelectionOptions {
@@ -75,25 +96,13 @@ pub fn find_grasp(object: &Object, hand: &Robot, options: &FindOptions) -> Resul
     let selected = select_grasps(object, &hand, &grasps, &evaluator, &[object.mass_kg()], &selection)?;
     let Some(best) = selected.grasps.into_iter().find(|g| g.scores.iter().any(|s| *s > 0.0)) else { return Ok(None) };
     let grasp = best.grasp;
-    let mass_kg = object.mass_kg();
     let conditions = spread.conditions(options.trials, options.seed ^ FIND_SEED);
-    let tried: Vec<(Option<f64>, Verdict)> = conditions
-        .into_par_iter()
-        .map(|condition| {
-            let assumed = condition.assumed(mass_kg);
-            let closed = evaluator.close(&grasp, &assumed)?;
-            Ok(match evaluator.command(&closed, &assumed, GripForce::Required)? {
-                Ok(command) => {
-                    let verdict = evaluator.evaluate(&command, &condition.truth(mass_kg))?.verdict;
-                    (Some(command.grip_force_n), verdict)
-                }
-                Err(reason) => (None, reason.verdict()),
-            })
-        })
-        .collect::<Result<_>>()?;
-    let grip_force_n = tried.iter().find_map(|(force, _)| *force);
-    let verdicts: Vec<Verdict> = tried.into_iter().map(|(_, verdict)| verdict).collect();
+    let tried = rollouts(&evaluator, &grasp, object.mass_kg(), &conditions)?;
+    // Without a command there is no force.
+    let grip_force_n = tried.iter().map(|t| t.grip_force_n).find(|n| *n > 0.0);
+    let verdicts: Vec<Verdict> = tried.iter().map(|t| t.verdict).collect();
     let held = verdicts.iter().filter(|v| **v == Verdict::Success).count();
     let interval = wilson(held, verdicts.len());
+    let _ = watch(1.0);
     Ok(grip_force_n.map(|grip_force_n| TriedGrasp { grasp, grip_force_n, held, verdicts, interval }))
 }

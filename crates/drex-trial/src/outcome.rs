@@ -1,5 +1,7 @@
 //! How a trial ends, and what is measured in it.
 
+use std::fmt;
+
 use serde::{Deserialize, Serialize};
 
 /// Farthest that the object may slide over a finger, m, and turn in the hand, rad.
@@ -33,6 +35,13 @@ pub enum Verdict {
     CannotCarry,
     /// The simulation did not come to an end.
     Diverged,
+}
+
+impl fmt::Display for Verdict {
+    /// The name that it has in files, such as "no_contact".
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        self.serialize(f)
+    }
 }
 
 /// What was measured in a trial.
@@ -80,6 +89,11 @@ impl Outcome {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_verdict_is_called_as_in_files() {
+        assert_eq!(Verdict::CannotCarry.to_string(), "cannot_carry");
+    }
 
     #[test]
     fn the_safety_margin_is_what_the_rules_of_slip_and_turn_leave() {

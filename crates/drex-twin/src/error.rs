@@ -12,6 +12,9 @@ pub enum Error {
     /// What is asked cannot be done with what the twin holds; the message says what is missing and what to do.
     #[error("{0}")]
     Refused(String),
+    /// [`Progress::is_stopped`](crate::Progress::is_stopped) said so.
+    #[error("stopped; another run goes on from here")]
+    Stopped,
     /// Something failed while something else was being done.
     #[error("{doing}")]
     While {

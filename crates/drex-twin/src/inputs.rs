@@ -1,12 +1,14 @@
 //! The stages of a twin, and what each of them depends on.
 
 use std::path::Path;
+use std::str::FromStr;
 
 use drex_recording::PushRecording;
 
+use crate::error::Context;
 use crate::lock::Inputs;
 use crate::manifest::ScanConfig;
-use crate::{Result, Twin, records as files};
+use crate::{Error, Result, Twin, records as files};
 
 /// The stages of a twin, in order.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
@@ -64,9 +66,46 @@ impl Stage {
         }
     }
 
+    /// The stages that make what this one reads.
+    fn needs(self) -> &'static [Self] {
+        match self {
+            Self::Scan => &[],
+            Self::Identify | Self::Grasps => &[Self::Scan],
+            Self::Asset => &[Self::Identify],
+            Self::Train => &[Self::Identify, Self::Grasps],
+            Self::Evaluate | Self::Trial | Self::Execute => &[Self::Train],
+            Self::Appearance => &[Self::Asset],
+            Self::Report => &Self::ALL,
+        }
+    }
+
+    /// These stages and all that they need, in order.
+    pub(crate) fn with_needed(stages: &[Self]) -> Vec<Self> {
+        let mut asked = stages.to_vec();
+        // What a stage needs comes before it.
+        for stage in Self::ALL.into_iter().rev() {
+            if asked.contains(&stage) {
+                asked.extend(stage.needs());
+            }
+        }
+        Self::ALL.into_iter().filter(|s| asked.contains(s)).collect()
+    }
+
     /// Whether the stage needs demonstrated grasps.
     pub(crate) fn needs_grasps(self) -> bool {
         matches!(self, Self::Grasps | Self::Train | Self::Evaluate | Self::Trial | Self::Execute)
+    }
+}
+
+impl FromStr for Stage {
+    type Err = Error;
+
+    fn from_str(name: &str) -> Result<Self> {
+        let names = || Self::ALL.map(Self::name).join(", ");
+        Self::ALL
+            .into_iter()
+            .find(|s| s.name() == name)
+            .with_context(|| format!("there is no stage \"{name}\"; choose from {}", names()))
     }
 }
 
@@ -155,4 +194,36 @@ impl Twin {
 fn push_files(push: &Path, inputs: Inputs) -> Result<Inputs> {
     let recording = PushRecording::load(push)?;
     recording.sources.iter().try_fold(inputs, |inputs, file| inputs.file(file))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_stage_brings_what_it_needs_and_nothing_else() {
+        use Stage::{Appearance, Asset, Grasps, Identify, Scan, Train, Trial};
+        assert_eq!(Stage::with_needed(&[Appearance]), [Scan, Identify, Asset, Appearance]);
+        assert_eq!(Stage::with_needed(&[Trial, Identify]), [Scan, Identify, Grasps, Train, Trial]);
+        assert_eq!(Stage::with_needed(&[Stage::Report]), Stage::ALL);
+        assert!(Stage::with_needed(&[]).is_empty());
+        for stage in Stage::ALL {
+            assert!(stage == Stage::Report || stage.needs().iter().all(|needed| *needed < stage));
+        }
+    }
+
+    #[test]
+    fn stages_are_known_by_their_names() {
+        for stage in Stage::ALL {
+            assert!(stage.name().parse::<Stage>().is_ok_and(|s| s == stage));
+        }
+        let message = "Train".parse::<Stage>().err().map(|e| e.to_string());
+        assert_eq!(
+            message.as_deref(),
+            Some(
+                "there is no stage \"Train\"; choose from scan, identify, asset, grasps, train, evaluate, trial, execute, \
+                 appearance, report"
+            )
+        );
+    }
 }

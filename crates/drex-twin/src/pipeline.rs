@@ -16,9 +16,11 @@ use crate::{Error, Progress, Result, Twin, stages};
 pub type Reporter = fn(&Twin) -> Result<Vec<PathBuf>, Box<dyn std::error::Error + Send + Sync>>;
 
 /// How far a twin is run.
-#[derive(Debug, Clone, Copy)]
+#[derive(Debug, Clone)]
 #[non_exhaustive]
 pub struct RunOptions {
+    /// The stages that are looked at, with those that they need; `None` for all up to the last.
+    pub stages: Option<Vec<Stage>>,
     /// The last stage that is done.
     pub last: Stage,
     /// Whether the last stage is done even if it is up to date.
@@ -32,7 +34,7 @@ pub struct RunOptions {
 impl Default for RunOptions {
     /// All stages, without a report or a picture.
     fn default() -> Self {
-        Self { last: Stage::Report, again: false, report: None, picture: None }
+        Self { stages: None, last: Stage::Report, again: false, report: None, picture: None }
     }
 }
 
@@ -41,6 +43,14 @@ impl RunOptions {
     #[must_use]
     pub fn until(mut self, last: Stage) -> Self {
         self.last = last;
+        self
+    }
+
+    /// The options with these stages and those that they need, and no others.
+    #[must_use]
+    pub fn with_stages(mut self, stages: &[Stage]) -> Self {
+        self.last = stages.iter().copied().max().unwrap_or(self.last);
+        self.stages = Some(Stage::with_needed(stages));
         self
     }
 
@@ -86,9 +96,10 @@ impl Twin {
     /// A run that is stopped goes on where it was when it is started again, and ends with the same bytes.
     ///
     /// # Errors
-    /// If a stage fails; the message names the stage, what was wrong and what to do. Also if another process works on the folder.
+    /// If a stage fails; the message names the stage, what was wrong and what to do. Also if another process works on the folder, and
+    /// [`Error::Stopped`] where `progress` stops the run.
     pub fn run(&mut self, options: &RunOptions, progress: &dyn Progress) -> Result<RunSummary> {
-        let RunOptions { last, again, report, picture } = *options;
+        let RunOptions { ref stages, last, again, report, picture } = *options;
         if last.needs_grasps() && self.manifest.grasps.is_none() {
             refuse!(
                 "{} has no [grasps] section, so there is nothing to {}; name a file of demonstrated grasps there",
@@ -100,7 +111,13 @@ impl Twin {
         let started = Instant::now();
         let mut summary =
             RunSummary { name: self.manifest.name.clone(), stages_run: vec![], stages_current: vec![], seconds: 0.0 };
-        for stage in Stage::ALL.into_iter().filter(|s| *s <= last) {
+        let mut asked: Vec<Stage> = stages.clone().unwrap_or_else(|| Stage::ALL.to_vec());
+        asked.retain(|s| *s <= last);
+        for (place, stage) in asked.iter().copied().enumerate() {
+            progress.stages(place, asked.len());
+            if progress.is_stopped() {
+                return Err(Error::Stopped);
+            }
             if stage.needs_grasps() && self.manifest.grasps.is_none()
                 || matches!(stage, Stage::Scan | Stage::Appearance) && self.manifest.scan.is_none()
                 || stage == Stage::Report && report.is_none()
@@ -123,9 +140,12 @@ impl Twin {
                 ));
             }
             let begun = Instant::now();
-            let mut outputs = self
-                .make(stage, report, progress)
-                .with_context(|| format!("stage {} of {}", stage.name(), self.root.display()))?;
+            let made = self.make(stage, report, progress);
+            // A stage that was stopped says so in one way or another.
+            if made.is_err() && progress.is_stopped() {
+                return Err(Error::Stopped);
+            }
+            let mut outputs = made.with_context(|| format!("stage {} of {}", stage.name(), self.root.display()))?;
             if let Some(write) = picture.filter(|_| stage == Stage::Asset) {
                 // Nothing depends on it: a photo that cannot be read must not cost the asset.
                 match write(self) {
@@ -152,6 +172,7 @@ impl Twin {
             progress.note(&format!("{:>10}  done in {seconds:.1} s", stage.name()));
             summary.stages_run.push(stage.name());
         }
+        progress.stages(asked.len(), asked.len());
         summary.seconds = started.elapsed().as_secs_f64();
         Ok(summary)
     }

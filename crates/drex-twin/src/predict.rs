@@ -6,7 +6,7 @@ use std::sync::Arc;
 use std::time::Instant;
 
 use drex_core::{ASSUMED_FRICTION, Object, Pose, PoseRecord};
-use drex_grasp::{ContactOptions, FingerContacts, Grasp, HandSurface, paper_force};
+use drex_grasp::{ContactOptions, FingerContacts, Grasp, GraspOrigin, HandSurface, paper_force};
 use drex_mesh::{AssetOptions, LengthUnit, asset_from_mesh, metric_mesh};
 use drex_policy::{GraspPolicy, PredictedGrasp, Query};
 use drex_robot::Robot;
@@ -18,7 +18,7 @@ use crate::error::{Context, refuse};
 use crate::hand::with_torque_cap;
 use crate::learn::grasp_of;
 use crate::rank::Chosen;
-use crate::records::{MASS, MassFile, POLICY, read_json};
+use crate::records::POLICY;
 use crate::{Result, Twin, rank};
 
 /// File that makes a folder that of a policy.
@@ -134,7 +134,7 @@ impl Predictor {
         }
         let mass_kg = match options.mass_kg {
             Some(mass) => mass,
-            None => read_json::<MassFile>(&twin.path(MASS))?.grip_kg,
+            None => twin.mass()?.grip_kg,
         };
         let mut object = twin.object()?.with_mass(mass_kg);
         object.friction = options.friction.unwrap_or(object.friction);
@@ -187,6 +187,16 @@ impl Predictor {
         Ok(prediction)
     }
 
+    /// The pose of the hand's base in the object's frame and the joints of a prediction, as a grasp. What it touches is not in it.
+    ///
+    /// # Errors
+    /// If the pose is none.
+    pub fn grasp(&self, prediction: &Prediction) -> Result<Grasp> {
+        let object_from_base = self.object.world_from_object.inverse() * prediction.world_from_base.to_pose()?;
+        let grasp = Grasp::new(&self.robot, prediction.joints_rad.clone(), object_from_base);
+        Ok(Grasp { origin: GraspOrigin::Predicted, ..grasp })
+    }
+
     /// How the fingers open before the grasp and close onto the object.
     ///
     /// # Errors
@@ -194,9 +204,9 @@ impl Predictor {
     pub fn reach(&self, grasp: &Prediction) -> Result<Reach> {
         let surface = HandSurface::new(&self.robot, ContactOptions::default().spacing_m)?;
         let world_from_object = self.object.world_from_object;
-        let object_from_base = world_from_object.inverse() * grasp.world_from_base.to_pose()?;
+        let Grasp { joints_rad, object_from_base, .. } = self.grasp(grasp)?;
         let object = self.object.geometry.exact();
-        Ok(plan_reach(&self.robot, &surface, &grasp.joints_rad, &object_from_base, object, &world_from_object))
+        Ok(plan_reach(&self.robot, &surface, &joints_rad, &object_from_base, object, &world_from_object))
     }
 
     fn prediction(&self, predicted: &PredictedGrasp, chosen: &Chosen<TrialEvaluator>) -> Prediction {

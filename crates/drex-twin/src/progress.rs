@@ -1,5 +1,6 @@
 //! What a running stage tells whoever waits for it.
 
+use std::ops::ControlFlow;
 use std::sync::{Mutex, PoisonError};
 
 /// Receives how far work is. All methods may be called from several threads.
@@ -20,6 +21,20 @@ pub trait Progress: Sync {
 
     /// The work at hand is done.
     fn end(&self) {}
+
+    /// So many stages of a run are behind it, of `total`.
+    fn stages(&self, _done: usize, _total: usize) {}
+
+    /// Whether to stop: asked before each stage and, in those that learn from trials, before each trial and epoch. The run then ends
+    /// with [`Error::Stopped`](crate::Error::Stopped); what it has made stays, and another run goes on from there.
+    fn is_stopped(&self) -> bool {
+        false
+    }
+}
+
+/// What [`Progress::is_stopped`] says, to loops that a callback ends.
+pub(crate) fn flow(progress: &dyn Progress) -> ControlFlow<()> {
+    if progress.is_stopped() { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
 }
 
 impl Progress for () {}

@@ -11,6 +11,7 @@ use crate::Result;
 use crate::error::{Context, refuse};
 use crate::lock::Lock;
 use crate::manifest::{MANIFEST, TwinManifest};
+use crate::records::{MASS, MassFile, read_json};
 
 /// Endings of demonstrations in a folder.
 const ENDINGS: [&str; 3] = ["json", "jsonl", "npz"];
@@ -116,6 +117,18 @@ impl Twin {
             refuse!("{} holds no demonstration: put .json, .jsonl or .npz files there", path.display());
         }
         Ok(files)
+    }
+
+    /// The mass that the stage identify found.
+    ///
+    /// # Errors
+    /// If there is none yet, or its record cannot be read.
+    pub fn mass(&self) -> Result<MassFile> {
+        let path = self.path(MASS);
+        if !path.is_file() {
+            refuse!("{} has no mass yet: run its stage identify first", self.root.display());
+        }
+        read_json(&path)
     }
 
     /// Model of the manifest's hand, with its motors' torques known.

@@ -1,4 +1,4 @@
-"""Masses from recorded pushes, hands of people on robot hands, sim-ready assets, differentiable simulation.
+"""Twins of objects: masses from recorded pushes, grasps and their trials, hands of people on robot hands, sim-ready assets, simulation.
 
 Units are SI. World z is up. A pose is a row x, y, z, qw, qx, qy, qz (metres, unit quaternion) of a body's own frame in the world;
 where poses go in, 4 x 4 matrices do too. Joint vectors have the order of ``joint_names``, rad.
@@ -11,16 +11,28 @@ import numpy as _numpy  # the compiled part needs it, and says less clearly that
 
 from ._drex import (
     Asset,
+    Command,
     Error,
+    Grasp,
     Identification,
+    Mass,
     MeshCheck,
     Motion,
+    NoCommand,
+    Outcome,
+    Policy,
+    PredictedGrasp,
+    Prediction,
     Push,
     PushReport,
     Retargeter,
     Retargeting,
     Robot,
+    Trial,
+    TriedGrasp,
+    Twin,
     __version__,
+    find_grasp,
     identify,
     mesh_asset,
     mesh_check,
@@ -30,16 +42,28 @@ from ._drex import (
 
 __all__ = [
     "Asset",
+    "Command",
     "Error",
+    "Grasp",
     "Identification",
+    "Mass",
     "MeshCheck",
     "Motion",
+    "NoCommand",
+    "Outcome",
+    "Policy",
+    "PredictedGrasp",
+    "Prediction",
     "Push",
     "PushReport",
     "Retargeter",
     "Retargeting",
     "Robot",
+    "Trial",
+    "TriedGrasp",
+    "Twin",
     "__version__",
+    "find_grasp",
     "identify",
     "mesh_asset",
     "mesh_check",

@@ -12,19 +12,46 @@ _Mesh: TypeAlias = _Path | tuple[ArrayLike, ArrayLike]
 _Objective: TypeAlias = Literal["vector", "dexpilot", "position"]
 _Unit: TypeAlias = Literal["m", "cm", "mm", "in", "auto"]
 _Side: TypeAlias = Literal["right", "left"]
+_Stage: TypeAlias = Literal[
+    "scan", "identify", "asset", "grasps", "train", "evaluate", "trial", "execute", "appearance", "report"
+]
+_Verdict: TypeAlias = Literal[
+    "success",
+    "no_contact",
+    "table",
+    "slip",
+    "drop",
+    "crushed",
+    "penetration",
+    "torque_limit",
+    "cannot_carry",
+    "diverged",
+]
 
 __all__ = [
     "Asset",
+    "Command",
     "Error",
+    "Grasp",
     "Identification",
+    "Mass",
     "MeshCheck",
     "Motion",
+    "NoCommand",
+    "Outcome",
+    "Policy",
+    "PredictedGrasp",
+    "Prediction",
     "Push",
     "PushReport",
     "Retargeter",
     "Retargeting",
     "Robot",
+    "Trial",
+    "TriedGrasp",
+    "Twin",
     "__version__",
+    "find_grasp",
     "identify",
     "mesh_asset",
     "mesh_check",
@@ -36,6 +63,22 @@ __version__: str
 
 class Error(ValueError): ...
 
+class NoCommand(Error):
+    verdict: _Verdict
+
+def find_grasp(
+    mesh: _Mesh | Asset,
+    mass_kg: float | None = None,
+    hand: _Path | Robot = ...,
+    seed: int = 0,
+    progress: Callable[[float], object] | None = None,
+    *,
+    friction: float | None = None,
+    unit: _Unit = "auto",
+    candidates: int = 20000,
+    simulated: int = 20,
+    trials: int = 24,
+) -> TriedGrasp | None: ...
 def identify(
     pushes: Push | _Path | Iterable[Push | _Path],
     *,
@@ -354,3 +397,265 @@ class Robot:
     def mass_matrix(self, q: ArrayLike) -> _Floats: ...
     def bias_force(self, q: ArrayLike, qd: ArrayLike, *, gravity_m_s2: ArrayLike | None = None) -> _Floats: ...
     def gravity_torque(self, q: ArrayLike, *, gravity_m_s2: ArrayLike | None = None) -> _Floats: ...
+
+@final
+class Twin:
+    @staticmethod
+    def open(path: _Path, *, seed: int | None = None) -> Twin: ...
+    @property
+    def path(self) -> Path: ...
+    @property
+    def name(self) -> str: ...
+    def run(
+        self,
+        stages: Sequence[_Stage] | None = None,
+        progress: Callable[[float], object] | None = None,
+        *,
+        note: Callable[[str], object] | None = None,
+    ) -> dict[str, Any]: ...
+    @property
+    def mass(self) -> Mass: ...
+    @property
+    def policy(self) -> Policy: ...
+    def predict(
+        self, pose: ArrayLike | None = None, mass_kg: float | None = None, *, friction: float | None = None
+    ) -> Prediction: ...
+
+@final
+class Mass:
+    @property
+    def mass_kg(self) -> float: ...
+    @property
+    def ci95_kg(self) -> tuple[float, float]: ...
+    @property
+    def sd_kg(self) -> float: ...
+    @property
+    def grip_kg(self) -> float: ...
+    @property
+    def source(self) -> Literal["weighed", "identified", "bounded", "prior"]: ...
+    @property
+    def identification(self) -> Identification | None: ...
+    @property
+    def verdict(self) -> Literal["identified", "only_mu_m", "fitted", "not_identifiable"] | None: ...
+    @property
+    def reason(self) -> str | None: ...
+    def to_dict(self) -> dict[str, Any]: ...
+
+@final
+class Prediction:
+    @property
+    def grasp(self) -> Grasp: ...
+    @property
+    def world_from_base(self) -> _Floats: ...
+    @property
+    def grip_force_n(self) -> float: ...
+    @property
+    def needed_grip_force_n(self) -> float | None: ...
+    @property
+    def joint_torques_nm(self) -> _Floats: ...
+    @property
+    def contacts(self) -> list[dict[str, Any]]: ...
+    @property
+    def cannot_hold(self) -> str | None: ...
+    @property
+    def mass_kg(self) -> float: ...
+    @property
+    def friction(self) -> float: ...
+    @property
+    def weight(self) -> float: ...
+    @property
+    def place(self) -> int: ...
+    def to_dict(self) -> dict[str, Any]: ...
+
+@final
+class Grasp:
+    def __new__(
+        cls, hand: str, joint_names: Sequence[str], joints_rad: ArrayLike, object_from_base: ArrayLike
+    ) -> Grasp: ...
+    @property
+    def hand(self) -> str: ...
+    @property
+    def joint_names(self) -> list[str]: ...
+    @property
+    def joints_rad(self) -> _Floats: ...
+    @property
+    def object_from_base(self) -> _Floats: ...
+    @property
+    def contact_points_m(self) -> _Floats: ...
+    @property
+    def contact_normals(self) -> _Floats: ...
+    @property
+    def contact_links(self) -> list[str]: ...
+    @property
+    def grip_force_n(self) -> float | None: ...
+    @property
+    def origin(self) -> Literal["retargeted", "refined", "power", "pinch", "predicted"]: ...
+    def to_dict(self) -> dict[str, Any]: ...
+    def __eq__(self, other: object, /) -> bool: ...
+
+@final
+class PredictedGrasp:
+    @property
+    def grasp(self) -> Grasp: ...
+    @property
+    def contacts(self) -> _Floats: ...
+    @property
+    def grip_force_n(self) -> float: ...
+    @property
+    def weight(self) -> float: ...
+
+@final
+class Policy:
+    @staticmethod
+    def open(path: _Path) -> Policy: ...
+    @property
+    def hand(self) -> str: ...
+    @property
+    def joint_names(self) -> list[str]: ...
+    @property
+    def joint_limits_rad(self) -> _Floats: ...
+    @property
+    def fingers(self) -> list[str]: ...
+    @property
+    def points(self) -> int: ...
+    @property
+    def modes(self) -> int: ...
+    @property
+    def mass_range_kg(self) -> tuple[float, float]: ...
+    @property
+    def friction_range(self) -> tuple[float, float]: ...
+    def predict(
+        self,
+        points: ArrayLike | Asset,
+        mass_kg: float,
+        *,
+        friction: float | None = None,
+        up: ArrayLike | None = None,
+        table_below_m: float | None = None,
+        seed: int = 0,
+    ) -> list[PredictedGrasp]: ...
+    def sample(
+        self,
+        points: ArrayLike | Asset,
+        mass_kg: float,
+        count: int,
+        *,
+        friction: float | None = None,
+        up: ArrayLike | None = None,
+        table_below_m: float | None = None,
+        seed: int = 0,
+    ) -> list[PredictedGrasp]: ...
+    def log_density(
+        self,
+        points: ArrayLike | Asset,
+        mass_kg: float,
+        joints_rad: ArrayLike,
+        object_from_base: ArrayLike | None = None,
+        *,
+        friction: float | None = None,
+        up: ArrayLike | None = None,
+        table_below_m: float | None = None,
+        seed: int = 0,
+    ) -> float: ...
+
+@final
+class Trial:
+    def __new__(
+        cls,
+        object: _Mesh | Asset,
+        hand: _Path | Robot = ...,
+        *,
+        mass_kg: float | None = None,
+        friction: float | None = None,
+        unit: _Unit = "auto",
+        shake_m_s2: float | None = None,
+    ) -> Trial: ...
+    @property
+    def mass_kg(self) -> float: ...
+    @property
+    def friction(self) -> float: ...
+    @property
+    def hand(self) -> str: ...
+    @property
+    def world_from_object(self) -> _Floats: ...
+    def command(
+        self,
+        grasp: Grasp,
+        *,
+        mass_kg: float | None = None,
+        friction: float | None = None,
+        grip_force_n: float | None = None,
+    ) -> Command: ...
+    def run(
+        self,
+        grasp: Grasp | Command,
+        *,
+        mass_kg: float | None = None,
+        friction: float | None = None,
+        shift_m: ArrayLike | None = None,
+        turn_rad: float = 0.0,
+        seed: int = 0,
+    ) -> Outcome: ...
+    def rollouts(
+        self,
+        grasp: Grasp,
+        count: int = 24,
+        *,
+        seed: int = 0,
+        progress: Callable[[float], object] | None = None,
+    ) -> list[_Verdict]: ...
+
+@final
+class Command:
+    @property
+    def joints_rad(self) -> _Floats: ...
+    @property
+    def world_from_base(self) -> _Floats: ...
+    @property
+    def torques_nm(self) -> _Floats: ...
+    @property
+    def limits_nm(self) -> _Floats: ...
+    @property
+    def grip_force_n(self) -> float: ...
+    @property
+    def per_finger_n(self) -> _Floats: ...
+
+@final
+class Outcome:
+    @property
+    def verdict(self) -> _Verdict: ...
+    @property
+    def failed_at_s(self) -> float | None: ...
+    @property
+    def grip_force_n(self) -> float: ...
+    @property
+    def held_n(self) -> float | None: ...
+    @property
+    def peak_finger_n(self) -> float: ...
+    @property
+    def slip_m(self) -> float: ...
+    @property
+    def turn_rad(self) -> float: ...
+    @property
+    def penetration_m(self) -> float: ...
+    @property
+    def fingers_in_contact(self) -> list[bool]: ...
+    @property
+    def retained(self) -> float: ...
+    @property
+    def friction_used(self) -> float | None: ...
+    @property
+    def safety_margin(self) -> float: ...
+
+@final
+class TriedGrasp:
+    @property
+    def grasp(self) -> Grasp: ...
+    @property
+    def grip_force_n(self) -> float: ...
+    @property
+    def held(self) -> int: ...
+    @property
+    def verdicts(self) -> list[_Verdict]: ...
+    @property
+    def interval(self) -> tuple[float, float]: ...

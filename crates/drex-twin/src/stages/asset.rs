@@ -3,13 +3,12 @@
 use std::path::PathBuf;
 
 use super::scan::photos_of;
-use crate::records::{MASS, MassFile, SCAN, ScanFile, read_json};
+use crate::records::{SCAN, ScanFile, read_json};
 use crate::texture::textured;
 use crate::{Progress, Result, Twin};
 
 pub(crate) fn make(twin: &Twin, progress: &dyn Progress) -> Result<Vec<PathBuf>> {
-    let mass: MassFile = read_json(&twin.path(MASS))?;
-    let mut asset = twin.asset()?.clone().with_mass(mass.mass_kg);
+    let mut asset = twin.asset()?.clone().with_mass(twin.mass()?.mass_kg);
     if twin.manifest.scan.is_some() {
         let made: ScanFile = read_json(&twin.path(SCAN))?;
         let mesh_from_scan = made.mesh_from_scan()?;

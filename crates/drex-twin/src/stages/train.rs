@@ -1,25 +1,23 @@
 //! Grasps to a network.
 
-use std::ops::ControlFlow;
 use std::path::PathBuf;
 
-use crate::Result;
 use crate::error::refuse;
 use drex_core::fsutil;
 use drex_grasp::{
     ContactOptions, GraspError, GripForceError, GripForcePolicy, GripForceProblem, HandSurface, OriginCounts,
 };
 use drex_policy::{Dataset, GraspPolicy, GraspSample, TrainOptions};
-use drex_trial::{ConditionSpread, TrialOptions};
+use drex_trial::{ConditionSpread, Stoppable, TrialOptions};
 use rayon::prelude::*;
 
 use super::simulated::Simulated;
-use crate::Progress;
-use crate::Twin;
 use crate::learn::{self, LearnOptions, Learned, MASS_FACTORS, POINTS, labels};
+use crate::progress::flow;
 use crate::records::{CURVE, FITS, MASS, POLICY, PracticeRecord, TRAINING, read_json, write_json};
 use crate::records::{FitFile, FitRecord, MassFile, Training};
 use crate::scene::Scene;
+use crate::{Error, Progress, Result, Twin};
 
 pub(crate) fn make(twin: &Twin, progress: &dyn Progress) -> Result<Vec<PathBuf>> {
     let scene = Scene::of(twin)?;
@@ -33,8 +31,11 @@ pub(crate) fn make(twin: &Twin, progress: &dyn Progress) -> Result<Vec<PathBuf>>
     progress.begin("train", Some(options.epochs as u64));
     let (policy, report) = GraspPolicy::train(&data, &options, &mut |epoch| {
         progress.at(epoch.epoch as u64, &format!("loss {:.4}", epoch.total));
-        ControlFlow::Continue(())
+        flow(progress)
     })?;
+    if progress.is_stopped() {
+        return Err(Error::Stopped);
+    }
     progress.end();
     twin.took("training", report.seconds);
     let tried = OriginCounts::of(fits.grasps.iter().filter(|g| g.accepted).map(FitRecord::origin));
@@ -73,7 +74,9 @@ fn validated(
         mass_hidden: false,
     };
     options.train.rollouts.wanted_friction_share = GripForcePolicy::default().friction_share();
-    let learned = Learned::train(&tried.object, &tried.robot, &grasps, &tried.evaluator, &options)?;
+    let go_on = || flow(progress);
+    let evaluator = Stoppable::new(&tried.evaluator, &go_on);
+    let learned = Learned::train(&tried.object, &tried.robot, &grasps, &evaluator, &options)?;
     progress.end();
     progress.note(&format!(
         "{:>10}  {} of {} grasps hold in practice, {} learned",

@@ -2,7 +2,6 @@
 
 use std::path::PathBuf;
 
-use crate::Result;
 use drex_core::PoseRecord;
 use drex_grasp::Grasp;
 use drex_policy::{GraspPolicy, Query};
@@ -14,7 +13,7 @@ use crate::Progress;
 use crate::learn::{POINTS, grasp_of};
 use crate::records::MassFile;
 use crate::records::{MASS, POLICY, RecordedFrame, RolloutRecord, TRIAL, TrialFile, read_json, write_json};
-use crate::{Twin, rank};
+use crate::{Error, Result, Twin, rank};
 
 /// Rollouts.
 const ROLLOUTS: usize = 24;
@@ -38,6 +37,9 @@ pub(crate) fn make(twin: &Twin, progress: &dyn Progress) -> Result<Vec<PathBuf>>
 
     progress.begin("trial", Some(conditions.len() as u64));
     let run = |(condition, true_kg): (&Condition, &f64)| -> Result<(RolloutRecord, Option<Command>)> {
+        if progress.is_stopped() {
+            return Err(Error::Stopped);
+        }
         let assumed = condition.assumed(mass.grip_kg);
         let query = Query::new(&cloud, assumed.mass_kg, assumed.friction).with_up(up);
         let proposals = rank::proposals(&policy, &query)?;
