@@ -3,8 +3,7 @@
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use drex_policy::GraspPolicy;
-use drex_twin::records::{MassFile, POLICY};
+use drex_twin::records::MassFile;
 use drex_twin::{PredictOptions, Predictor, Progress, RunOptions, Stage};
 use numpy::PyArray1;
 use pyo3::prelude::*;
@@ -22,8 +21,9 @@ use crate::watch::{Part, watched, watched_with_notes};
 /// the records are read anew by every call, as the command line does.
 #[pyclass(module = "drex", frozen)]
 pub(crate) struct Twin {
+    /// What it was opened with: its manifest, or the folder.
+    opened: PathBuf,
     path: PathBuf,
-    root: PathBuf,
     name: String,
     seed: Option<u64>,
 }
@@ -31,7 +31,7 @@ pub(crate) struct Twin {
 impl Twin {
     /// How to open it, where it is needed.
     fn opener(&self) -> impl FnOnce() -> Result<drex_twin::Twin> + Send + 'static {
-        let (path, seed) = (self.path.clone(), self.seed);
+        let (path, seed) = (self.opened.clone(), self.seed);
         move || Ok(drex_twin::Twin::open(&path)?.with_seed(seed))
     }
 }
@@ -43,13 +43,13 @@ impl Twin {
     #[pyo3(signature = (path, *, seed=None))]
     fn open(path: PathBuf, seed: Option<u64>) -> Result<Self> {
         let twin = drex_twin::Twin::open(&path)?;
-        Ok(Self { path, root: twin.root, name: twin.manifest.name, seed })
+        Ok(Self { opened: path, path: twin.root, name: twin.manifest.name, seed })
     }
 
     /// The folder.
     #[getter]
     fn path(&self) -> &Path {
-        &self.root
+        &self.path
     }
 
     /// The name that the manifest gives the object.
@@ -89,11 +89,11 @@ impl Twin {
         watched(py, None, move |_| Ok(Mass { inner: open()?.mass()? }))
     }
 
-    /// The network that the stage train made. Raises `FileNotFoundError` as long as that has not been done.
+    /// The network that the stage train made. Raises `Error` as long as that has not been done.
     #[getter]
     fn policy(&self, py: Python<'_>) -> Result<Policy> {
-        let folder = self.root.join(POLICY);
-        watched(py, None, move |_| Ok(Policy { inner: Arc::new(GraspPolicy::load(&folder)?) }))
+        let open = self.opener();
+        watched(py, None, move |_| Ok(Policy { inner: Arc::new(open()?.policy()?) }))
     }
 
     /// The grasp that `drex grasp` gives for the object, if its mesh frame is at `pose` in the world (a row x, y, z, qw, qx, qy, qz or a 4 x 4
@@ -121,7 +121,7 @@ impl Twin {
     }
 
     fn __repr__(&self) -> String {
-        format!("Twin(\"{}\" in {})", self.name, self.root.display())
+        format!("Twin(\"{}\" in {})", self.name, self.path.display())
     }
 }
 

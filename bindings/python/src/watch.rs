@@ -15,9 +15,9 @@ const TICK: Duration = Duration::from_millis(30);
 /// As much as a main thread has.
 const STACK_BYTES: usize = 8 << 20;
 
-/// What the work tells the call that waits for it, and that call the work.
+/// What the work and the call that waits for it say to each other.
 #[derive(Debug, Default)]
-struct Told {
+struct Shared {
     part: AtomicU64,
     notes: Mutex<Vec<String>>,
     stopped: AtomicBool,
@@ -25,7 +25,7 @@ struct Told {
 
 /// How far the work is, and whether it is to go on.
 #[derive(Debug, Clone, Default)]
-pub(crate) struct Part(Arc<Told>);
+pub(crate) struct Part(Arc<Shared>);
 
 impl Part {
     /// Sets which part of the work is done, from 0 to 1; it never falls.
@@ -91,13 +91,13 @@ where
     W: FnOnce(&Part) -> Result<T> + Send + 'static,
 {
     let part = Part::default();
-    let told = part.clone();
+    let own = part.clone();
     let _stop = Stop(part.clone());
     let (send, mut receive) = channel();
     let thread = std::thread::Builder::new().name("drex".into()).stack_size(STACK_BYTES);
     let worker = match thread.spawn(move || {
         // Nobody receives any more where the call was interrupted.
-        let _ = send.send(work(&told));
+        let _ = send.send(work(&own));
     }) {
         Ok(worker) => worker,
         Err(error) => return refused(format!("no thread could be started: {error}; close other programs")),

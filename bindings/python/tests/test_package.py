@@ -38,7 +38,7 @@ class Package(Case):
 
     def test_the_examples_of_the_readme_run(self):
         blocks = re.findall(r"^```python\n(.*?)^```", README.read_text(), re.S | re.M)
-        self.assertGreaterEqual(len(blocks), 6)
+        self.assertGreaterEqual(len(blocks), 8)
         os.symlink(DATA, self.folder / "data")
         # They run one after the other, as a reader would type them; the last lines check what the text promises.
         checks = """
@@ -47,6 +47,8 @@ class Package(Case):
             assert pathlib.Path("tin/asset/object.xml").is_file() and pathlib.Path("tin/asset/object.urdf").is_file()
             assert again.ci95_kg[0] < asset.mass_kg < again.ci95_kg[1], (asset.mass_kg, again.ci95_kg)
             assert hand.flags[0]["flag"] == "no_hand"
+            assert twin.mass.ci95_kg[0] < 0.236 < twin.mass.ci95_kg[1]
+            assert found.held > 0 and command.grip_force_n > 0
         """
         script = "\n".join(blocks) + textwrap.dedent(checks)
         done = subprocess.run([sys.executable, "-c", script], cwd=self.folder, capture_output=True, text=True)

@@ -69,7 +69,7 @@ class Twins(Case):
 
     def test_a_trained_twin_grasps(self):
         twin = drex.Twin.open(self.twin)
-        with self.assertRaises(FileNotFoundError):
+        with self.assertRaisesRegex(drex.Error, "has no policy yet: run `drex train"):
             twin.policy
         done = twin.run(["train"])
         self.assertEqual(done["stages_run"], ["identify", "grasps", "train"])

@@ -228,3 +228,44 @@ fn some_of(names: &[String]) -> String {
     let shown = names.iter().take(SHOWN).map(String::as_str).collect::<Vec<_>>().join(", ");
     if more > 0 { format!("{shown} and {more} more") } else { shown }
 }
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+
+    use std::sync::atomic::{AtomicUsize, Ordering};
+
+    use super::*;
+
+    /// Stops a run once two of the stages asked for are behind it.
+    #[derive(Default)]
+    struct StopAtTwo(AtomicUsize);
+
+    impl Progress for StopAtTwo {
+        fn stages(&self, done: usize, _total: usize) {
+            self.0.store(done, Ordering::Relaxed);
+        }
+
+        fn is_stopped(&self) -> bool {
+            self.0.load(Ordering::Relaxed) >= 2
+        }
+    }
+
+    #[test]
+    fn a_run_that_is_stopped_keeps_what_it_made_and_goes_on() {
+        let dir = tempfile::tempdir().unwrap();
+        for file in ["twin.toml", "scan/tin.obj", "push/tilt/push.toml", "push/tilt/poses.csv", "push/tilt/force.csv"] {
+            let to = dir.path().join(file);
+            std::fs::create_dir_all(to.parent().unwrap()).unwrap();
+            std::fs::copy(format!("{}/data/tin/{file}", env!("CARGO_MANIFEST_DIR")), to).unwrap();
+        }
+        let mut twin = Twin::open(dir.path()).unwrap();
+        assert!(twin.mass().is_err());
+        let options = RunOptions::default().with_stages(&[Stage::Asset]);
+        // A scan, which this twin has none of, and the mass.
+        assert!(matches!(twin.run(&options, &StopAtTwo::default()), Err(Error::Stopped)));
+        assert!(twin.mass().is_ok() && !twin.path("asset").exists());
+        let done = twin.run(&options, &()).unwrap();
+        assert_eq!((done.stages_current, done.stages_run), (vec!["identify"], vec!["asset"]));
+    }
+}

@@ -22,7 +22,7 @@ use crate::records::POLICY;
 use crate::{Result, Twin, rank};
 
 /// File that makes a folder that of a policy.
-const POLICY_CARD: &str = "policy.json";
+pub(crate) const POLICY_CARD: &str = "policy.json";
 
 /// What is known of the object and the hand beyond the twin; what is left out is the twin's.
 #[derive(Debug, Clone, Default, PartialEq)]
@@ -105,6 +105,20 @@ pub fn predict(object: &Object, policy: &GraspPolicy, world_from_object: Pose, m
     Predictor::new(policy.clone(), robot, object, 0).predict()
 }
 
+impl Twin {
+    /// The network that the stage train made.
+    ///
+    /// # Errors
+    /// If there is none yet, or it cannot be read.
+    pub fn policy(&self) -> Result<GraspPolicy> {
+        let folder = self.path(POLICY);
+        if !folder.join(POLICY_CARD).is_file() {
+            refuse!("{} has no policy yet: run `drex train {0}` first", self.root.display());
+        }
+        Ok(GraspPolicy::load(&folder)?)
+    }
+}
+
 impl Predictor {
     /// A predictor for an object where it stands; the seed decides which points of it the network sees.
     pub fn new(policy: GraspPolicy, robot: Robot, object: Object, seed: u64) -> Self {
@@ -128,10 +142,7 @@ impl Predictor {
     /// # Errors
     /// As [`Predictor::open`].
     pub fn of_twin(twin: &Twin, options: &PredictOptions) -> Result<Self> {
-        let folder = twin.path(POLICY);
-        if !folder.join(POLICY_CARD).is_file() {
-            refuse!("{} has no policy yet: run `drex train {0}` first", twin.root.display());
-        }
+        let policy = twin.policy()?;
         let mass_kg = match options.mass_kg {
             Some(mass) => mass,
             None => twin.mass()?.grip_kg,
@@ -139,9 +150,8 @@ impl Predictor {
         let mut object = twin.object()?.with_mass(mass_kg);
         object.friction = options.friction.unwrap_or(object.friction);
         let own = twin.manifest.grasps.as_ref();
-        let policy = GraspPolicy::load(&folder)?;
         let robot = hand(&policy, options, own.map(|g| (g.hand.as_str(), g.torque_cap_nm)), &twin.root)?;
-        let root = twin.root.clone();
+        let (folder, root) = (twin.path(POLICY), twin.root.clone());
         Ok(Self { folder, root, ..Self::new(policy, robot, placed(object, options), twin.seed) })
     }
 

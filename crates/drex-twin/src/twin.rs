@@ -85,8 +85,8 @@ impl Twin {
         Ok(fsutil::output_path(&self.root, name)?)
     }
 
-    #[cfg(feature = "stages")]
     /// Notes for `timings.json` how many seconds a part of the stage at work took.
+    #[cfg(feature = "stages")]
     pub(crate) fn took(&self, part: &str, seconds: f64) {
         self.parts.borrow_mut().insert(part.to_owned(), seconds);
     }
