@@ -2,7 +2,7 @@
 
 use anyhow::{Context, Result};
 use drex_core::Pose;
-use drex_twin::records::{FilmFrame, RolloutRecord, TRIAL, TrialFile};
+use drex_twin::records::{RecordedFrame, RolloutRecord, TRIAL, TrialFile};
 
 use crate::hand::{Hand, Held};
 use crate::recorder::{Recorder, Times, mesh};
@@ -16,14 +16,14 @@ pub fn record(recorder: &Recorder, twin: &mut Twin, hand: &Hand) -> Result<()> {
     recorder.number(&["trial", "interval95_low"], trial.interval[0])?;
     recorder.number(&["trial", "interval95_high"], trial.interval[1])?;
     rollouts(recorder, &trial.rollouts)?;
-    if trial.film.is_empty() {
+    if trial.recording.is_empty() {
         twin.missing.push("film of the trial: no rollout could be carried out".into());
         return Ok(());
     }
     let context = || twin.folder.path(TRIAL).display().to_string();
-    let times_s: Vec<f64> = trial.film.iter().map(|f| f.time_s).collect();
+    let times_s: Vec<f64> = trial.recording.iter().map(|f| f.time_s).collect();
     let times = Times::Seconds("trial", &times_s);
-    let held: Vec<Held> = trial.film.into_iter().map(held).collect::<Result<_>>().with_context(context)?;
+    let held: Vec<Held> = trial.recording.into_iter().map(held).collect::<Result<_>>().with_context(context)?;
     let object: Vec<Pose> = held.iter().map(|h| h.world_from_object).collect();
     recorder.poses(&["world", "trial", "object"], times, &object).with_context(context)?;
     if let Some(shape) = &twin.mesh {
@@ -32,7 +32,7 @@ pub fn record(recorder: &Recorder, twin: &mut Twin, hand: &Hand) -> Result<()> {
     hand.record(recorder, twin, "trial", &trial.joint_names, times, &held).with_context(context)
 }
 
-fn held(frame: FilmFrame) -> Result<Held> {
+fn held(frame: RecordedFrame) -> Result<Held> {
     Ok(Held {
         joints_rad: frame.joints_rad,
         world_from_base: frame.world_from_base.to_pose()?,

@@ -114,7 +114,7 @@ fn what_a_former_version_wrote_is_read() {
     assert_eq!((grasp.check.fingers[0].normal_n, grasp.check.epsilon), (3.25, Some(0.1)));
 
     let trial: TrialFile = read_json(&at(TRIAL)).unwrap();
-    assert_eq!((trial.rollouts[0].grip_force_n, trial.film[0].world_from_base), (6.5, standing));
+    assert_eq!((trial.rollouts[0].grip_force_n, trial.recording[0].world_from_base), (6.5, standing));
 
     let execution: ExecutionFile = read_json(&at(EXECUTION)).unwrap();
     assert_eq!((execution.not_driven, execution.contacts[0].held_effort), (None, Some(94.0)));
