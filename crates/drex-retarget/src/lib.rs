@@ -42,6 +42,7 @@ mod kinematics;
 mod levenberg_marquardt;
 mod measurements;
 mod objective;
+mod pad;
 mod result;
 mod retarget;
 mod scale;

@@ -105,7 +105,8 @@ pub(crate) fn evaluate(
     let fingers: Vec<FingerContact> = (0..hand.fingers.len())
         .map(|f| {
             let (pad, tip) = (&hand.fingers[f], hand.fingers[f].tip(&posed));
-            let gap_m = exact.signed_distance(&pad.nearest_fine(&posed, &*object.geometry).1).distance_m;
+            let nearest = pad.fine.nearest(&posed.links, &*object.geometry);
+            let gap_m = nearest.map_or(f64::INFINITY, |(_, point, _)| exact.signed_distance(&point).distance_m);
             FingerContact {
                 finger: hand.target.fingers[f].human,
                 takes_part: planned.target_weights[f] > 0.0,

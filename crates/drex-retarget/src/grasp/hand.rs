@@ -7,6 +7,7 @@ use drex_robot::{Finger, JointKind, Robot};
 use nalgebra::{Point3, Vector3};
 
 use super::surface_points::SurfacePoints;
+use crate::pad::{Pad, palmar};
 use crate::self_collision::CollisionShapes;
 use crate::{Error, LinkPoint, Result, TargetFinger, TargetHand};
 
@@ -24,7 +25,7 @@ pub(crate) struct GraspHand<'a> {
     pub(crate) search: Vec<SurfacePoints>,
     /// Points per link, for the verdict.
     pub(crate) fine: HandSurface,
-    pub(crate) fingers: Vec<Pad>,
+    pub(crate) fingers: Vec<FingerPad>,
     /// Index of the thumb in `fingers`.
     pub(crate) thumb: usize,
     /// Per link, the joints that move it.
@@ -35,12 +36,12 @@ pub(crate) struct GraspHand<'a> {
 
 /// The part of a finger that is meant to touch.
 #[derive(Debug, Clone)]
-pub(crate) struct Pad {
+pub(crate) struct FingerPad {
     pub(crate) tip: LinkPoint,
     /// Outermost points behind the last joint, palmar side and end, and the link in whose frame they are.
     points: (usize, SurfacePoints),
-    /// All of them, finer and by link, for the verdict.
-    fine: Vec<(usize, LinkSurface)>,
+    /// All of them, finer, for the verdict.
+    pub(crate) fine: Pad,
 }
 
 /// Poses of a hand in the object's frame.
@@ -67,7 +68,7 @@ impl<'a> GraspHand<'a> {
         let pads = target.fingers.iter().map(|f| {
             let points = |spacing_m| pad(robot, &poses, &f.tip, spacing_m);
             let fine = points(SPACINGS_M.1 / 2.0);
-            let Some(&(link, _)) = fine.first() else {
+            let Some(&(link, _)) = fine.parts.first() else {
                 return Err(Error::value(
                     format!(
                         "finger \"{}\" of hand \"{}\" has no collision shapes at its tip",
@@ -82,8 +83,8 @@ impl<'a> GraspHand<'a> {
                 let link_from_part = poses[link].inv_mul(&poses[*l]);
                 part.samples().iter().map(|s| link_from_part * s.0).collect()
             };
-            let points = SurfacePoints::outermost(points(SPACINGS_M.0 / 2.0).iter().flat_map(of_part).collect());
-            Ok(Pad { tip: f.tip, points: (link, points), fine })
+            let points = SurfacePoints::outermost(points(SPACINGS_M.0 / 2.0).parts.iter().flat_map(of_part).collect());
+            Ok(FingerPad { tip: f.tip, points: (link, points), fine })
         });
         let fingers = pads.collect::<Result<Vec<_>>>()?;
         let movers = (0..robot.links.len())
@@ -109,7 +110,7 @@ impl<'a> GraspHand<'a> {
     }
 }
 
-impl Pad {
+impl FingerPad {
     /// Link and point (object frame) of the pad nearest to the object, and what the object says there.
     pub(crate) fn nearest(
         &self,
@@ -118,11 +119,6 @@ impl Pad {
     ) -> Option<(usize, Point3<f64>, SdfSample)> {
         let (link, points) = &self.points;
         points.nearest(&posed.links[*link], object).map(|(point, s)| (*link, point, s))
-    }
-
-    /// Link, point (object frame) and distance of the nearest among more points.
-    pub(crate) fn nearest_fine(&self, posed: &Posed, object: &dyn SignedDistance) -> (usize, Point3<f64>, f64) {
-        nearest(&self.fine, posed, object)
     }
 
     /// The fingertip in the object's frame.
@@ -156,26 +152,14 @@ fn fingers(target: &TargetHand) -> Vec<Finger> {
     target.fingers.iter().enumerate().map(finger).collect()
 }
 
-fn nearest(parts: &[(usize, LinkSurface)], posed: &Posed, object: &dyn SignedDistance) -> (usize, Point3<f64>, f64) {
-    let mut best = (0, Point3::origin(), f64::INFINITY);
-    for (link, part) in parts {
-        if let Some((i, distance)) = part.nearest(&posed.links[*link], object, best.2) {
-            best = (*link, posed.links[*link] * part.samples()[i].0, distance);
-        }
-    }
-    best
-}
-
-/// Points of the links that move with the tip, on the palmar side and the end. Palmar is where the tip goes when its last joint
-/// bends, that is towards the wider side of its range.
-fn pad(robot: &Robot, poses: &[Pose], tip: &LinkPoint, spacing_m: f64) -> Vec<(usize, LinkSurface)> {
+/// Points of the links that move with the tip, on the palmar side and the end.
+fn pad(robot: &Robot, poses: &[Pose], tip: &LinkPoint, spacing_m: f64) -> Pad {
     let path = robot.path_to(tip.link);
-    let Some(&moved) = path.iter().rev().find(|&&l| !robot.links[l].joints.is_empty()) else { return Vec::new() };
-    let palmar = robot.links[moved].joints.last().and_then(|&j| {
-        let (axis, anchor) = robot.joint_axis(poses, j);
-        let bends = robot.joints[j].limits.map_or(1.0, |(lo, hi)| if hi >= -lo { 1.0 } else { -1.0 });
-        (axis * bends).cross(&(poses[tip.link] * tip.point - anchor)).try_normalize(1e-9)
-    });
+    let Some(&moved) = path.iter().rev().find(|&&l| !robot.links[l].joints.is_empty()) else {
+        return Pad { parts: Vec::new() };
+    };
+    let last = robot.links[moved].joints.last();
+    let palmar = last.and_then(|&j| palmar(robot, poses, j, &(poses[tip.link] * tip.point)));
     let mut rigid = vec![moved];
     for l in moved + 1..robot.links.len() {
         if robot.links[l].joints.is_empty() && robot.links[l].parent.is_some_and(|p| rigid.contains(&p)) {
@@ -183,12 +167,9 @@ fn pad(robot: &Robot, poses: &[Pose], tip: &LinkPoint, spacing_m: f64) -> Vec<(u
         }
     }
     let faces = |l: usize, n: &Vector3<f64>| palmar.is_none_or(|d| (poses[l] * n).dot(&d) > FACING);
-    rigid
-        .into_iter()
-        .map(|l| {
-            let kept: Vec<_> = robot.surface_samples(l, spacing_m).into_iter().filter(|s| faces(l, &s.1)).collect();
-            (l, LinkSurface::new(&kept))
-        })
-        .filter(|(_, s)| !s.samples().is_empty())
-        .collect()
+    let parts = rigid.into_iter().map(|l| {
+        let kept: Vec<_> = robot.surface_samples(l, spacing_m).into_iter().filter(|s| faces(l, &s.1)).collect();
+        (l, LinkSurface::new(&kept))
+    });
+    Pad { parts: parts.filter(|(_, s)| !s.samples().is_empty()).collect() }
 }

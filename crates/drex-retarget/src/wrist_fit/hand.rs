@@ -1,11 +1,12 @@
 //! What the fit needs to know of a hand, worked out once from the model: where the pads are and which way they press.
 
-use drex_core::{Pose, SignedDistance};
+use drex_core::Pose;
 use drex_grasp::{HandSurface, LinkSurface};
 use drex_robot::Robot;
 use nalgebra::{Point3, Vector3};
 
 use super::WristFitOptions;
+use crate::pad::{Pad, palmar};
 use crate::self_collision::CollisionShapes;
 use crate::{Error, Result};
 
@@ -22,28 +23,9 @@ pub(crate) struct HandModel<'a> {
     pub(crate) shapes: CollisionShapes,
 }
 
-/// The points of one finger that may press on an object, by link.
-pub(crate) struct Pad {
-    pub(crate) parts: Vec<(usize, LinkSurface)>,
-}
-
 /// A pad point faces the way its link moves when it bends: least cosine of its normal to that way. Straight ahead (the very end of
 /// a fingertip) is 0.
 const FACING: f64 = 0.5;
-
-impl Pad {
-    /// Link, point (object frame) and distance of the pad's point that is nearest to the object.
-    pub(crate) fn nearest(&self, poses: &[Pose], object: &dyn SignedDistance) -> Option<(usize, Point3<f64>, f64)> {
-        let mut best: Option<(usize, Point3<f64>, f64)> = None;
-        for (link, part) in &self.parts {
-            let limit = best.map_or(f64::INFINITY, |b| b.2);
-            if let Some((i, distance)) = part.nearest(&poses[*link], object, limit) {
-                best = Some((*link, poses[*link] * part.samples()[i].0, distance));
-            }
-        }
-        best
-    }
-}
 
 /// A grasp as it was recorded, and the interval that each joint may use.
 pub(crate) struct Recorded {
@@ -132,9 +114,6 @@ fn check(options: &WristFitOptions) -> Result<()> {
 }
 
 /// The palmar sides of the links that the last two joints of each finger move.
-///
-/// Palmar is the side towards which the link moves when its own joint bends the finger; a finger bends towards the side on
-/// which its joint has the wider range.
 fn pads(robot: &Robot, surface: &HandSurface) -> Vec<Pad> {
     let poses = robot.forward_kinematics(&robot.reference_position(), &Pose::identity());
     surface
@@ -144,16 +123,14 @@ fn pads(robot: &Robot, surface: &HandSurface) -> Vec<Pad> {
             let mut parts = Vec::new();
             let mut far = poses[finger.tip_link] * finger.tip_point;
             for &j in finger.joints.iter().rev().take(2) {
-                let (axis, anchor) = robot.joint_axis(&poses, j);
-                let bends = robot.joints[j].limits.map_or(1.0, |(lo, hi)| if hi >= -lo { 1.0 } else { -1.0 });
-                let palmar = (axis * bends).cross(&(far - anchor)).try_normalize(1e-9);
+                let palmar = palmar(robot, &poses, j, &far);
                 let next_joints = &finger.joints[finger.joints.iter().position(|&k| k == j).map_or(0, |p| p + 1)..];
                 for link in rigid_part(robot, &finger.links, robot.joints[j].link, next_joints) {
                     let facing = |n: &Vector3<f64>| palmar.is_none_or(|d| (poses[link] * n).dot(&d) > FACING);
                     let samples = surface.links[link].samples().iter().filter(|s| facing(&s.1)).copied();
                     parts.push((link, LinkSurface::new(&samples.collect::<Vec<_>>())));
                 }
-                far = anchor;
+                far = robot.joint_axis(&poses, j).1;
             }
             Pad { parts }
         })
