@@ -111,13 +111,11 @@ impl Twin {
         let world_from_object = pose.map(|p| self::pose("pose", p)).transpose()?;
         let options = PredictOptions { world_from_object, mass_kg, friction, ..PredictOptions::default() };
         let open = self.opener();
-        let (inner, grasp) = watched(py, None, move |_| {
-            let predictor = Predictor::of_twin(&open()?, &options)?;
-            let prediction = predictor.predict()?;
-            let grasp = predictor.grasp(&prediction)?;
-            Ok((prediction, grasp))
+        let inner = watched(py, None, move |_| {
+            Ok(Predictor::of_twin(&open()?, &options)?.predict()?)
         })?;
-        Ok(Prediction { inner, grasp: Py::new(py, Grasp { inner: grasp })? })
+        let grasp = Py::new(py, Grasp { inner: inner.grasp.clone() })?;
+        Ok(Prediction { inner, grasp })
     }
 
     fn __repr__(&self) -> String {
@@ -292,8 +290,8 @@ impl Prediction {
     fn __repr__(&self) -> String {
         let p = &self.inner;
         match p.needed_grip_force_n {
-            Some(force) => format!("Prediction(\"{}\", {force:.2} N for {:.0} g)", p.hand, 1e3 * p.mass_kg),
-            None => format!("Prediction(\"{}\", cannot hold {:.0} g)", p.hand, 1e3 * p.mass_kg),
+            Some(force) => format!("Prediction(\"{}\", {force:.2} N for {:.0} g)", p.grasp.hand, 1e3 * p.mass_kg),
+            None => format!("Prediction(\"{}\", cannot hold {:.0} g)", p.grasp.hand, 1e3 * p.mass_kg),
         }
     }
 }

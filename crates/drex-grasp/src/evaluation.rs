@@ -209,17 +209,18 @@ pub fn evaluate_with(
     }
     let goes_on = options.complete || failures.is_empty();
 
-    let closed = goes_on && is_closed(&contacts, body.center_of_mass, options)?;
+    let mut closure = ClosureOptions::about(body.center_of_mass);
+    closure.torsion_m = options.torsion_m;
+    let quality = match options.complete {
+        true => unless_at_the_edge(force_closure(&contacts, &closure))?,
+        false => None,
+    };
+    let closed = match &quality {
+        Some(quality) => quality.closed,
+        None => goes_on && is_closed(&contacts, body.center_of_mass, options)?,
+    };
     if goes_on && options.must_hold && !closed {
         failures.push("the contacts are not in force closure".into());
-    }
-    let (mut epsilon, mut min_weight) = (None, None);
-    if options.complete {
-        let mut closure = ClosureOptions::about(body.center_of_mass);
-        closure.torsion_m = options.torsion_m;
-        if let Some(quality) = unless_at_the_edge(force_closure(&contacts, &closure))? {
-            (epsilon, min_weight) = (Some(quality.epsilon), Some(quality.min_weight));
-        }
     }
     let grip_force = match options.complete || failures.is_empty() {
         true => {
@@ -255,8 +256,8 @@ pub fn evaluate_with(
         table_clearance_mm: -1e3 * below_m,
         self_collision,
         force_closure: closed,
-        epsilon,
-        min_weight,
+        epsilon: quality.as_ref().map(|q| q.epsilon),
+        min_weight: quality.as_ref().map(|q| q.min_weight),
         grip_force_n: grip_force.as_ref().map(|s| s.total_n),
         friction_margin: grip_force.as_ref().filter(|_| options.complete).map(|s| s.friction_margin),
         torque_margin: grip_force.as_ref().map(|s| s.torque_margin),

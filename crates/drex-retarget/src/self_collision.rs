@@ -13,7 +13,7 @@ const COVERED_M: f64 = 0.001;
 /// A box thinner than twice this is a plate, m.
 const PLATE_M: f64 = 0.004;
 /// Step of the numeric normal, metres.
-const NORMAL_STEP_M: f64 = 1e-5;
+const NORMAL_STEP_M: f64 = 1e-7;
 
 /// The collision shapes of a robot as a search sees them.
 #[derive(Debug, Clone)]

@@ -175,12 +175,12 @@ pub struct Deployed {
 /// If there is no driver for the hand, the file cannot be written, or the hand fails.
 pub fn deploy(
     predictor: &Predictor,
-    grasp: &Prediction,
+    prediction: &Prediction,
     options: &DeployOptions,
     stop: &EStop,
     progress: &dyn Progress,
 ) -> Result<Deployed> {
-    let setup = Setup::for_model(&grasp.hand, &options.setup)?;
+    let setup = Setup::for_model(&prediction.grasp.hand, &options.setup)?;
     // The motors decide what a current gives.
     let mut driver = match &options.to {
         DeployTo::Port { port, guard, allowed } => {
@@ -190,13 +190,13 @@ pub fn deploy(
         }
         DeployTo::Nothing | DeployTo::Emulated => None,
     };
-    let reach = predictor.reach(grasp)?;
+    let reach = predictor.reach(prediction)?;
     let found = driver.as_ref().and_then(Driver::model);
-    let limits = limits(options, &setup, found, grasp)?;
+    let limits = limits(options, &setup, found, prediction)?;
     if let Some(warning) = limits.warning.as_ref().filter(|_| driver.is_none()) {
         progress.note(warning);
     }
-    let file = write(options, predictor, grasp, (&reach.open, &reach.closed), &limits)?;
+    let file = write(options, predictor, prediction, (&reach.open, &reach.closed), &limits)?;
     let poses = [reach.open.clone(), reach.open.clone(), reach.closed.clone()];
     let (closing, force) = (limits.closing.clone(), limits.force.clone());
     let plan = match setup.hand {
@@ -232,13 +232,19 @@ pub fn limit_to_driver(robot: &mut Robot, setup: &SetupOptions) -> Result<()> {
 }
 
 /// Limits under which the joints give the torques of the grip force, with motors that were `found` at a port.
-fn limits(options: &DeployOptions, setup: &Setup, found: Option<MotorModel>, grasp: &Prediction) -> Result<Limits> {
-    let torques_nm = &grasp.joint_torques_nm;
+fn limits(
+    options: &DeployOptions,
+    setup: &Setup,
+    found: Option<MotorModel>,
+    prediction: &Prediction,
+) -> Result<Limits> {
+    let torques_nm = &prediction.joint_torques_nm;
     if setup.hand == HandKind::Allegro {
         let allegro = &setup.allegro;
         let wire_caps = allegro.torque_caps_nm();
         let wire = |name: &String| allegro.names.iter().position(|n| n == name);
-        let caps: Vec<f64> = grasp.joint_names.iter().map(|n| wire(n).map_or(0.0, |j| wire_caps[j])).collect();
+        let caps: Vec<f64> =
+            prediction.grasp.joint_names.iter().map(|n| wire(n).map_or(0.0, |j| wire_caps[j])).collect();
         let force = torque_limits_nm(torques_nm, FLOOR_NM, &caps)?;
         let short_nm = torques_nm.iter().zip(&force).map(|(t, f)| (t.abs() - f).max(0.0)).collect();
         let closing = caps.iter().map(|c| CLOSING_NM.min(*c)).collect();
@@ -290,7 +296,7 @@ fn limits(options: &DeployOptions, setup: &Setup, found: Option<MotorModel>, gra
 fn write(
     options: &DeployOptions,
     predictor: &Predictor,
-    grasp: &Prediction,
+    prediction: &Prediction,
     (open_rad, closed_rad): (&[f64], &[f64]),
     limits: &Limits,
 ) -> Result<PathBuf> {
@@ -318,7 +324,7 @@ fn write(
             margin: trial.law.margin,
             shake_m_s2: trial.shake_m_s2,
         },
-        grasp,
+        grasp: prediction,
         open_rad: open_rad.to_vec(),
         closed_rad: closed_rad.to_vec(),
         limits: limits.clone(),

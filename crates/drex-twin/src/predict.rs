@@ -6,13 +6,14 @@ use std::sync::Arc;
 use std::time::Instant;
 
 use drex_core::{ASSUMED_FRICTION, Object, Pose, PoseRecord};
-use drex_grasp::{ContactOptions, FingerContacts, Grasp, GraspOrigin, HandSurface, paper_force};
+use drex_grasp::{ContactOptions, FingerContacts, Grasp, HandSurface, paper_force};
 use drex_mesh::{AssetOptions, LengthUnit, asset_from_mesh, metric_mesh};
 use drex_policy::{GraspPolicy, PredictedGrasp, Query};
 use drex_robot::Robot;
 use drex_trial::{Assumed, Engine, Reach, TrialEvaluator, TrialOptions, plan_reach};
 use nalgebra::{Point3, Translation3, Vector3};
-use serde::Serialize;
+use serde::ser::SerializeMap;
+use serde::{Serialize, Serializer};
 
 use crate::error::{Context, refuse};
 use crate::hand::with_torque_cap;
@@ -57,12 +58,9 @@ pub struct Predictor {
 /// A grasp that was chosen for an object, with its grip force.
 #[derive(Debug, Clone, Serialize)]
 pub struct Prediction {
-    /// Name of the hand's model.
-    pub hand: String,
-    /// Names of the joints.
-    pub joint_names: Vec<String>,
-    /// Angles of the joints, rad.
-    pub joints_rad: Vec<f64>,
+    /// Hand, joints and where the hand is on the object. What it touches once it is closed is in `contacts`.
+    #[serde(flatten, serialize_with = "hand_and_joints")]
+    pub grasp: Grasp,
     /// Pose of the hand's base in the world.
     pub world_from_base: PoseRecord,
     /// Probability by the network.
@@ -197,26 +195,16 @@ impl Predictor {
         Ok(prediction)
     }
 
-    /// The pose of the hand's base in the object's frame and the joints of a prediction, as a grasp. What it touches is not in it.
-    ///
-    /// # Errors
-    /// If the pose is none.
-    pub fn grasp(&self, prediction: &Prediction) -> Result<Grasp> {
-        let object_from_base = self.object.world_from_object.inverse() * prediction.world_from_base.to_pose()?;
-        let grasp = Grasp::new(&self.robot, prediction.joints_rad.clone(), object_from_base);
-        Ok(Grasp { origin: GraspOrigin::Predicted, ..grasp })
-    }
-
     /// How the fingers open before the grasp and close onto the object.
     ///
     /// # Errors
     /// If the hand has no collision shapes.
-    pub fn reach(&self, grasp: &Prediction) -> Result<Reach> {
+    pub fn reach(&self, prediction: &Prediction) -> Result<Reach> {
         let surface = HandSurface::new(&self.robot, ContactOptions::default().spacing_m)?;
         let world_from_object = self.object.world_from_object;
-        let Grasp { joints_rad, object_from_base, .. } = self.grasp(grasp)?;
-        let object = self.object.geometry.exact();
-        Ok(plan_reach(&self.robot, &surface, &joints_rad, &object_from_base, object, &world_from_object))
+        let (grasp, object) = (&prediction.grasp, self.object.geometry.exact());
+        let (joints, pose) = (&grasp.joints_rad, &grasp.object_from_base);
+        Ok(plan_reach(&self.robot, &surface, joints, pose, object, &world_from_object))
     }
 
     fn prediction(&self, predicted: &PredictedGrasp, chosen: &Chosen<TrialEvaluator>) -> Prediction {
@@ -252,9 +240,7 @@ impl Predictor {
         let joint_torques_nm =
             command.map(|c| c.torques_nm.iter().zip(own_nm.iter()).map(|(grip, own)| grip + own).collect());
         Prediction {
-            hand: robot.name.clone(),
-            joint_names: robot.joint_names().into_iter().map(str::to_owned).collect(),
-            joints_rad: predicted.joints.clone(),
+            grasp: grasp_of(&robot.name, self.policy.joint_names(), predicted),
             world_from_base: PoseRecord::from(&world_from_base),
             weight: predicted.weight,
             place: chosen.place,
@@ -270,6 +256,15 @@ impl Predictor {
             force_ms: 0.0,
         }
     }
+}
+
+/// The keys of a grasp that an answer has at its top.
+fn hand_and_joints<S: Serializer>(grasp: &Grasp, serializer: S) -> Result<S::Ok, S::Error> {
+    let mut keys = serializer.serialize_map(Some(3))?;
+    keys.serialize_entry("hand", &grasp.hand)?;
+    keys.serialize_entry("joint_names", &grasp.joint_names)?;
+    keys.serialize_entry("joints_rad", &grasp.joints_rad)?;
+    keys.end()
 }
 
 /// The object, turned as it is, on the table z = 0 about the origin: where the world has its own does not matter.

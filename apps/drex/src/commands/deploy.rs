@@ -27,16 +27,16 @@ pub fn run(args: &DeployArgs, seed: Option<u64>, ui: &Ui) -> Result<()> {
     let of = &args.grasp;
     let mut predictor = Predictor::open(&of.twin_or_policy, of.mesh.as_deref(), &of.options(), seed)?;
     limit_to_driver(&mut predictor.robot, &options.setup)?;
-    let grasp = predictor.predict()?;
-    if let Some(reason) = &grasp.cannot_hold {
+    let prediction = predictor.predict()?;
+    if let Some(reason) = &prediction.cannot_hold {
         bail!("there is no grasp to deploy: {reason}");
     }
     let begun = Instant::now();
     let Deployed { file, limits, done, .. } =
-        deploy(&predictor, &grasp, &options, &stop, ui).map_err(hw::with_allow_flag)?;
+        deploy(&predictor, &prediction, &options, &stop, ui).map_err(hw::with_allow_flag)?;
     let mut timing = Timing::of(begun.elapsed().as_secs_f64());
     timing.input = Some(args.grasp.twin_or_policy.clone());
-    timing.parts = [("network", grasp.network_ms), ("force", grasp.force_ms)]
+    timing.parts = [("network", prediction.network_ms), ("force", prediction.force_ms)]
         .map(|(part, ms)| (part.to_owned(), 1e-3 * ms))
         .into();
     timings::record(&predictor.root, "deploy", timing)?;
@@ -44,9 +44,9 @@ pub fn run(args: &DeployArgs, seed: Option<u64>, ui: &Ui) -> Result<()> {
     let short = limits.short_nm.iter().copied().fold(0.0, f64::max);
     let mut text = format!(
         "{}: {:.2} N on {:.0} g, at most {most:.3} {}\n  written  {}\n",
-        grasp.hand,
-        grasp.grip_force_n,
-        1e3 * grasp.mass_kg,
+        prediction.grasp.hand,
+        prediction.grip_force_n,
+        1e3 * prediction.mass_kg,
         limits.unit,
         file.display()
     );
@@ -58,11 +58,11 @@ pub fn run(args: &DeployArgs, seed: Option<u64>, ui: &Ui) -> Result<()> {
         );
     }
     match &done {
-        Some(done) => text += &hw::grasp_text(done, &grasp.joint_names, limits.unit),
+        Some(done) => text += &hw::grasp_text(done, &prediction.grasp.joint_names, limits.unit),
         None => text += "  note     no hand moved: give --port PATH or --emulate",
     }
-    let driven = done.as_ref().map(|d| hw::grasp_json(d, &grasp.joint_names));
-    ui.answer(&json!({ "out": file, "hand": grasp.hand, "limits": limits, "driven": driven }), text)
+    let driven = done.as_ref().map(|d| hw::grasp_json(d, &prediction.grasp.joint_names));
+    ui.answer(&json!({ "out": file, "hand": prediction.grasp.hand, "limits": limits, "driven": driven }), text)
 }
 
 /// The cap in force, the motors, and what is not known of them.

@@ -16,10 +16,10 @@ fn text(p: &Prediction) -> String {
     let [x, y, z] = p.world_from_base.translation_m;
     let [qw, qx, qy, qz] = p.world_from_base.quat_wxyz;
     let mut lines = vec![
-        format!("{} for {:.0} g at friction {}", p.hand, 1e3 * p.mass_kg, p.friction),
+        format!("{} for {:.0} g at friction {}", p.grasp.hand, 1e3 * p.mass_kg, p.friction),
         format!("  base     {x:.4} {y:.4} {z:.4} m, quaternion {qw:.4} {qx:.4} {qy:.4} {qz:.4} (world)"),
     ];
-    let joints = p.joint_names.iter().zip(&p.joints_rad).map(|(name, q)| format!("{name} {q:.3}"));
+    let joints = p.grasp.joint_names.iter().zip(&p.grasp.joints_rad).map(|(name, q)| format!("{name} {q:.3}"));
     lines.push(format!("  joints   {} rad", joints.collect::<Vec<_>>().join(", ")));
     let fingers = p.contacts.iter().filter(|c| c.contacts > 0).map(|c| format!("{} {:.2} N", c.finger, c.normal_n));
     lines.push(format!("  touches  {}", fingers.collect::<Vec<_>>().join(", ")));

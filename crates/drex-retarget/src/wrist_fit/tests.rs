@@ -9,6 +9,7 @@ use nalgebra::{DVector, Isometry3, Matrix3, Point3, Translation3, UnitQuaternion
 use super::residuals::{Problem, Stage, View, linearised, residuals};
 use super::{HandModel, WristFitOptions};
 use crate::levenberg_marquardt::HandState;
+use crate::self_collision::CLEARANCE_M;
 
 /// An ellipsoid's distance to first order: smooth, with curvature.
 struct Ball;
@@ -35,23 +36,32 @@ fn the_derivatives_are_those_of_the_residuals() {
         let robot = Robot::bundled(name).unwrap();
         let options = WristFitOptions::default();
         let hand = HandModel::new(&robot, &options).unwrap();
-        let recorded = hand.recorded_within(&robot.mid_range(), 0.15).unwrap();
         let body = MassProperties { mass_kg: 0.2, center_of_mass: Point3::origin(), inertia: Matrix3::identity() };
         let mut object = Object::of_parts(Vec::new(), body);
         object.geometry = Arc::new(Ball);
         let table = TablePlane { up: Vector3::z_axis(), height_m: -0.04 };
-        let rough = Problem {
-            hand: &hand,
-            object: &object,
-            table,
-            bounds: Ball.bounding_box(),
-            options: &options,
-            recorded: &recorded,
-            stage: Stage::Rough,
-        };
-        let mut checked = 0;
+        let (mut checked, mut met) = (0, 0);
         for k in 0..24 {
             let a = f64::from(k);
+            // Every other hand has its joints anywhere, so that its links meet.
+            let anywhere = |j: usize| {
+                let (lo, hi) = robot.joints[j].limits.unwrap();
+                lo + (hi - lo) * (0.618 * f64::from(k) + 0.755 * j as f64).fract()
+            };
+            let q = if k % 2 == 0 { robot.mid_range() } else { (0..robot.dof()).map(anywhere).collect() };
+            let recorded = hand.recorded_within(&q, 0.15).unwrap();
+            let rough = Problem {
+                hand: &hand,
+                object: &object,
+                table,
+                bounds: Ball.bounding_box(),
+                options: &options,
+                recorded: &recorded,
+                stage: Stage::Rough,
+            };
+            let mut close = Vec::new();
+            hand.shapes.proximities(&robot.forward_kinematics(&q, &Isometry3::identity()), CLEARANCE_M, &mut close);
+            met += close.len();
             let turn = UnitQuaternion::from_euler_angles(1.3 * a, 0.7 * a, 2.1 * a);
             let grasp_center = robot.grasp_center().unwrap();
             // Off to one side: the field has no derivative at the ball's centre.
@@ -63,6 +73,7 @@ fn the_derivatives_are_those_of_the_residuals() {
             }
         }
         assert!(checked > 2000, "{name}: only {checked} entries could be compared");
+        assert!(met > 5, "{name}: links meet in {met} places");
     }
 }
 

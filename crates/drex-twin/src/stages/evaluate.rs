@@ -11,14 +11,14 @@ use rayon::prelude::*;
 use crate::Progress;
 use crate::Twin;
 use crate::learn::{POINTS, grasp_of};
-use crate::records::{EVALUATION, FITS, MASS, POLICY, read_json, write_json};
-use crate::records::{EvaluatedGrasp, Evaluation, FitFile, MassFile};
+use crate::records::{EVALUATION, FITS, POLICY, read_json, write_json};
+use crate::records::{EvaluatedGrasp, Evaluation, FitFile};
 use crate::scene::Scene;
 
 pub(crate) fn make(twin: &Twin, progress: &dyn Progress) -> Result<Vec<PathBuf>> {
     let scene = Scene::of(twin)?;
     let fits: FitFile = read_json(&twin.path(FITS))?;
-    let mass: MassFile = read_json(&twin.path(MASS))?;
+    let mass = twin.mass()?;
     let policy = GraspPolicy::load(&twin.path(POLICY))?;
     let cloud = scene.object.point_cloud(POINTS, twin.seed);
     let query = Query::new(&cloud, mass.grip_kg, twin.friction()).with_up(scene.object.table().up.into_inner());

@@ -16,14 +16,17 @@ pub(crate) fn make(twin: &Twin, progress: &dyn Progress) -> Result<Vec<PathBuf>>
     let (file, log) = (twin.output(EXECUTION)?, twin.output(EXECUTION_LOG)?);
     let options = DeployOptions { to: DeployTo::Emulated, log: Some(log.clone()), ..DeployOptions::default() };
     let predictor = Predictor::of_twin(twin, &PredictOptions::default())?;
-    let grasp = predictor.predict()?;
-    twin.took("network", 1e-3 * grasp.network_ms);
-    twin.took("force", 1e-3 * grasp.force_ms);
+    let prediction = predictor.predict()?;
+    twin.took("network", 1e-3 * prediction.network_ms);
+    twin.took("force", 1e-3 * prediction.force_ms);
     let mut execution = ExecutionFile {
         schema: 1,
-        hand: grasp.hand.clone(),
+        hand: prediction.grasp.hand.clone(),
         emulated: true,
-        not_driven: HandKind::of_model(&grasp.hand).err().map(|e| e.to_string()).or(grasp.cannot_hold.clone()),
+        not_driven: HandKind::of_model(&prediction.grasp.hand)
+            .err()
+            .map(|e| e.to_string())
+            .or(prediction.cannot_hold.clone()),
         unit: String::new(),
         joint_names: Vec::new(),
         open_rad: Vec::new(),
@@ -37,12 +40,13 @@ pub(crate) fn make(twin: &Twin, progress: &dyn Progress) -> Result<Vec<PathBuf>>
         write_json(&file, &execution)?;
         return Ok(vec![file]);
     }
-    let Deployed { file: told, reach, limits, done } = deploy(&predictor, &grasp, &options, &EStop::new(), progress)?;
-    (execution.unit, execution.joint_names) = (limits.unit.to_owned(), grasp.joint_names.clone());
+    let Deployed { file: told, reach, limits, done } =
+        deploy(&predictor, &prediction, &options, &EStop::new(), progress)?;
+    (execution.unit, execution.joint_names) = (limits.unit.to_owned(), prediction.grasp.joint_names.clone());
     (execution.open_rad, execution.closed_rad) = (reach.open, reach.closed);
     (execution.closing_limits, execution.force_limits) = (limits.closing, limits.force);
     if let Some(done) = done {
-        (execution.held, execution.contacts) = (done.held(), done.contacts(&grasp.joint_names));
+        (execution.held, execution.contacts) = (done.held(), done.contacts(&prediction.grasp.joint_names));
     }
     write_json(&file, &execution)?;
     Ok(vec![told, file, log])

@@ -14,7 +14,7 @@ use rayon::prelude::*;
 use super::simulated::Simulated;
 use crate::learn::{self, LearnOptions, Learned, MASS_FACTORS, POINTS, labels};
 use crate::progress::flow;
-use crate::records::{CURVE, FITS, MASS, POLICY, PracticeRecord, TRAINING, read_json, write_json};
+use crate::records::{CURVE, FITS, POLICY, PracticeRecord, TRAINING, read_json, write_json};
 use crate::records::{FitFile, FitRecord, MassFile, Training};
 use crate::scene::Scene;
 use crate::{Error, Progress, Result, Twin};
@@ -22,7 +22,7 @@ use crate::{Error, Progress, Result, Twin};
 pub(crate) fn make(twin: &Twin, progress: &dyn Progress) -> Result<Vec<PathBuf>> {
     let scene = Scene::of(twin)?;
     let fits: FitFile = read_json(&twin.path(FITS))?;
-    let mass: MassFile = read_json(&twin.path(MASS))?;
+    let mass = twin.mass()?;
     let options = options(twin);
     if let Some(simulated) = twin.manifest.train.as_ref().and_then(|t| t.practice).filter(|p| *p > 0) {
         return validated(twin, &scene, &fits, &mass, options, simulated as usize, progress);

@@ -11,8 +11,7 @@ use rayon::prelude::*;
 use super::simulated::Simulated;
 use crate::Progress;
 use crate::learn::{POINTS, grasp_of};
-use crate::records::MassFile;
-use crate::records::{MASS, POLICY, RecordedFrame, RolloutRecord, TRIAL, TrialFile, read_json, write_json};
+use crate::records::{POLICY, RecordedFrame, RolloutRecord, TRIAL, TrialFile, write_json};
 use crate::{Error, Result, Twin, rank};
 
 /// Rollouts.
@@ -25,7 +24,7 @@ const TRIAL_SEED: u64 = 0x74_72_69_61;
 const MASS_SEED: u64 = 0x6d_61_73_73;
 
 pub(crate) fn make(twin: &Twin, progress: &dyn Progress) -> Result<Vec<PathBuf>> {
-    let mass: MassFile = read_json(&twin.path(MASS))?;
+    let mass = twin.mass()?;
     let robot = twin.hand()?;
     let policy = GraspPolicy::load(&twin.path(POLICY))?;
     let simulated = Simulated::of(twin, &robot, mass.grip_kg)?;
