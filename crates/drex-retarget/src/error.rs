@@ -3,7 +3,7 @@
 /// Result of this crate.
 pub type Result<T, E = Error> = std::result::Result<T, E>;
 
-/// A request that cannot be worked on. A pose that makes no grasp is no error but a [`crate::Verdict`].
+/// A request that cannot be worked on. A hand that makes no grasp is no error but has failures, see [`drex_grasp::GraspEvaluation`].
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum Error {
