@@ -174,8 +174,8 @@ pub fn evaluate_with(
     contact.check()?;
     let (body, table) = (&object.mass_properties, object.table());
     let poses = robot.forward_kinematics(&joints, &grasp.object_from_base);
-    let limit_m = contact.max_gap_m.max(options.touch_gap_m);
-    let near = surface.near(&poses, &Near { geometry: &*object.geometry, limit_m }, limit_m);
+    let exact_within = |limit_m| Near { geometry: &*object.geometry, limit_m };
+    let near = surface.near(&poses, &exact_within(contact.max_gap_m), contact.max_gap_m);
     let contacts = surface.contacts_among(&poses, &near, &contact);
     let depth_m =
         |points: &Vec<(usize, SdfSample)>| points.iter().map(|p| -p.1.distance_m).fold(f64::NEG_INFINITY, f64::max);
@@ -186,8 +186,15 @@ pub fn evaluate_with(
     let link = |i: usize| &robot.links[i].name;
 
     let mut failures = Vec::new();
-    let touches = |finger: usize| surface.fingers[finger].links.iter().any(|&l| -depths_m[l] <= options.touch_gap_m);
-    touching_fingers(surface, options, &touches, &mut failures);
+    let touch_gap_m = options.touch_gap_m;
+    let reaches = |l: usize| surface.links[l].nearest(&poses[l], &exact_within(touch_gap_m), touch_gap_m).is_some();
+    let touches = |finger: usize| {
+        let links = &surface.fingers[finger].links;
+        links.iter().any(|&l| -depths_m[l] <= touch_gap_m)
+            || touch_gap_m > contact.max_gap_m && links.iter().any(|&l| reaches(l))
+    };
+    let touching: Vec<bool> = (0..surface.fingers.len()).map(touches).collect();
+    touching_fingers(surface, options, &touching, &mut failures);
     if depth_m > options.max_penetration_m {
         failures.push(format!("link \"{}\" is {:.1} mm inside the object", link(deepest), 1e3 * depth_m));
     }
@@ -240,7 +247,7 @@ pub fn evaluate_with(
     let row = |name: &str, finger: Option<usize>| FingerContacts {
         finger: name.into(),
         contacts: contacts.iter().filter(|c| c.finger == finger).count(),
-        touches: finger.is_some_and(touches),
+        touches: finger.is_some_and(|f| touching[f]),
         normal_n: force(finger),
     };
     let mut fingers: Vec<FingerContacts> =
@@ -365,26 +372,21 @@ fn unless_at_the_edge<T>(answer: Result<T>) -> Result<Option<T>> {
 }
 
 /// Whether enough fingers touch, the thumb among them.
-fn touching_fingers(
-    surface: &HandSurface,
-    options: &EvaluationOptions,
-    touches: &dyn Fn(usize) -> bool,
-    failures: &mut Vec<String>,
-) {
+fn touching_fingers(surface: &HandSurface, options: &EvaluationOptions, touching: &[bool], failures: &mut Vec<String>) {
     let thumb = surface.thumb();
     if options.thumb
         && let Some(t) = thumb
-        && !touches(t)
+        && !touching[t]
     {
         failures.push("the thumb does not touch the object".into());
     }
     let others: Vec<usize> = (0..surface.fingers.len()).filter(|&f| Some(f) != thumb).collect();
-    let touching = others.iter().filter(|&&f| touches(f)).count();
-    if touching < options.min_fingers {
+    let count = others.iter().filter(|&&f| touching[f]).count();
+    if count < options.min_fingers {
         let missing: Vec<&str> =
-            others.iter().filter(|&&f| !touches(f)).map(|&f| surface.fingers[f].name.as_str()).collect();
+            others.iter().filter(|&&f| !touching[f]).map(|&f| surface.fingers[f].name.as_str()).collect();
         failures.push(format!(
-            "{touching} of {} fingers touch the object, {} are asked for (not touching: {})",
+            "{count} of {} fingers touch the object, {} are asked for (not touching: {})",
             others.len(),
             options.min_fingers,
             missing.join(", ")

@@ -14,7 +14,7 @@ pub const LIMIT_TOLERANCE_RAD: f64 = 1e-6;
 
 /// Grip forces of less or more than this many times the weight are taken for a mistake in the units: friction coefficients of 0.01 to 10
 /// lead to ratios of 0.1 to 100.
-const SQUEEZE_PER_WEIGHT: (f64, f64) = (1e-3, 1e4);
+const GRIP_FORCE_PER_WEIGHT: (f64, f64) = (1e-3, 1e4);
 
 /// Masses that a hand can have to do with, kg.
 pub const MASS_RANGE_KG: (f64, f64) = (1e-3, 100.0);
@@ -74,7 +74,7 @@ pub struct Dataset {
     pub joint_names: Vec<String>,
     /// Lower and upper limit of each joint, rad, in the order of `joint_names`.
     pub joint_limits: Vec<(f64, f64)>,
-    /// Names of the fingers that contacts are told of, e.g. thumb, index, middle, ring.
+    /// Names of the fingers whose contacts are known, e.g. thumb, index, middle, ring.
     pub fingers: Vec<String>,
     /// What is grasped.
     pub objects: Vec<ObjectCloud>,
@@ -200,7 +200,7 @@ impl Dataset {
             }
         }
         let ratio = sample.grip_force_n / (sample.mass_kg * GRAVITY_M_S2);
-        let (least, most) = SQUEEZE_PER_WEIGHT;
+        let (least, most) = GRIP_FORCE_PER_WEIGHT;
         if !(ratio >= least && ratio <= most) {
             let what = format!(
                 "a grip force of {} N for {} kg is {ratio:.3e} times the weight",

@@ -54,7 +54,7 @@ pub enum Error {
         /// What to do about it.
         remedy: String,
     },
-    /// A rollout failed, or what it told cannot be used.
+    /// A rollout failed, or its feedback cannot be used.
     #[error("rollout of object '{object}' at {mass_kg} kg and friction {friction}: {what}; {remedy}")]
     Rollout {
         /// Name of the object.

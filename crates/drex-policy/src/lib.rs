@@ -6,7 +6,7 @@
 //! use std::ops::ControlFlow;
 //! use drex_policy::{Dataset, Error, GraspPolicy, Query, TrainOptions};
 //!
-//! fn lightest_squeeze(data: &Dataset, mass_kg: f64, friction: f64) -> Result<f64, Error> {
+//! fn least_grip_force(data: &Dataset, mass_kg: f64, friction: f64) -> Result<f64, Error> {
 //!     let options = TrainOptions::default().with_seed(1);
 //!     let (policy, report) = GraspPolicy::train(data, &options, &mut |epoch| {
 //!         println!("epoch {}: {:.4}", epoch.epoch, epoch.total);

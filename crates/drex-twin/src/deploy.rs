@@ -38,7 +38,7 @@ struct Deployment<'a> {
     #[serde(rename = "force_law")]
     grip_force_policy: GripForcePolicy,
     grasp: &'a Prediction,
-    /// Angles of the joints before the fingers close, and what closing fingers are told.
+    /// Angles of the joints before the fingers close, and what closing fingers are commanded.
     open_rad: Vec<f64>,
     closed_rad: Vec<f64>,
     limits: Limits,
@@ -319,7 +319,7 @@ fn write(
         },
         units: Units { joints: "rad", length: "m", mass: "kg", force: "N", torque: "N m", current: "mA" },
         grip_force_policy: GripForcePolicy {
-            what: "smallest sum of normal forces that carries the weight and shakes in every direction at the lowest friction believed in, times the margin, within the torques of the motors",
+            what: "smallest sum of normal forces that carries the weight and shakes in every direction at the lowest friction assumed, times the margin, within the torques of the motors",
             torque_limits_nm: predictor.robot.effort_limits()?,
             margin: trial.law.margin,
             shake_m_s2: trial.shake_m_s2,

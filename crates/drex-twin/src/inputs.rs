@@ -23,7 +23,7 @@ pub enum Stage {
     Grasps,
     /// Grasps to a network.
     Train,
-    /// The network's grasps judged.
+    /// The network's grasps evaluated.
     Evaluate,
     /// The grasp lifted, held and shaken in simulation.
     Trial,

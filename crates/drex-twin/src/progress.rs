@@ -39,7 +39,7 @@ pub(crate) fn flow(progress: &dyn Progress) -> ControlFlow<()> {
 
 impl Progress for () {}
 
-/// Shows steps, each told by its stage's name, how many are done, and of how many, as work of these stages.
+/// Shows steps, each given by its stage's name, how many are done, and of how many, as work of these stages.
 pub(crate) fn show_stages(progress: &dyn Progress) -> impl Fn(&'static str, usize, usize) + Sync + '_ {
     let shown = Mutex::new("");
     move |stage, done, total| {

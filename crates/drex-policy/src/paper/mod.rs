@@ -58,7 +58,7 @@ pub struct PaperLoss {
     pub total: f64,
 }
 
-/// What one short simulation step told: algorithm 2 looks at the number of contacts alone.
+/// The result of one short simulation step: algorithm 2 looks at the number of contacts alone.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct PaperContacts {
     /// Contacts of the scene, of whatever with whatever.

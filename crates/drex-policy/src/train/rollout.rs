@@ -29,7 +29,7 @@ use crate::options::RolloutOptions;
 use crate::split::{Stream, random_of_epoch, shuffle};
 use crate::{Error, PredictedGrasp, Result, RolloutStats};
 
-/// What a rollout told about a grasp.
+/// The feedback of a rollout on a grasp.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Feedback {
     /// Which finger touched the object while it was to be held, in the order of the fingers of the data.
@@ -98,7 +98,7 @@ impl Tally {
         let (mut sum, mut count, mut memory) = (0.0, 0.0, 1.0);
         for ((mass_kg, friction), reward) in self.0.iter().rev() {
             let far2 = (mass_kg / load.0).ln().powi(2) + (friction / load.1).ln().powi(2);
-            // Falls off slowly, so that a mode that was not tried near here is judged by where it was.
+            // Falls off slowly, so that a mode that was not tried near here is evaluated by where it was.
             let weight = memory / (1.0 + far2 / OTHER_LOAD.powi(2)).powi(2);
             (sum, count) = (sum + weight * reward, count + weight);
             memory *= MEMORY;
@@ -509,7 +509,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_mode_is_judged_by_its_tries_at_similar_loads() {
+    fn a_mode_is_evaluated_by_its_tries_at_similar_loads() {
         let mut second = Second::new(1, 3);
         // The first mode carries what is light, the second what is heavy; the third was tried once, on the light.
         for _ in 0..20 {

@@ -149,7 +149,7 @@ pub struct Refinement {
     pub correlation: [Option<f64>; 2],
 }
 
-/// What of `splat/report.json` is told.
+/// The part of `splat/report.json` that the report shows.
 #[derive(Debug, Clone, Deserialize)]
 pub struct SplatReport {
     /// Number of photos that the Gaussians learned from.

@@ -40,7 +40,7 @@ pub(crate) fn make(twin: &Twin, progress: &dyn Progress) -> Result<Vec<PathBuf>>
         write_json(&file, &execution)?;
         return Ok(vec![file]);
     }
-    let Deployed { file: told, reach, limits, done } =
+    let Deployed { file: commanded, reach, limits, done } =
         deploy(&predictor, &prediction, &options, &EStop::new(), progress)?;
     (execution.unit, execution.joint_names) = (limits.unit.to_owned(), prediction.grasp.joint_names.clone());
     (execution.open_rad, execution.closed_rad) = (reach.open, reach.closed);
@@ -49,5 +49,5 @@ pub(crate) fn make(twin: &Twin, progress: &dyn Progress) -> Result<Vec<PathBuf>>
         (execution.held, execution.contacts) = (done.held(), done.contacts(&prediction.grasp.joint_names));
     }
     write_json(&file, &execution)?;
-    Ok(vec![told, file, log])
+    Ok(vec![commanded, file, log])
 }

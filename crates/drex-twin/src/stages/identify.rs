@@ -13,7 +13,7 @@ use crate::Twin;
 use crate::records::MassFile;
 use crate::records::{MASS, write_json};
 
-/// Steps in which progress is told.
+/// Steps in which progress is reported.
 const PARTS: u64 = 100;
 
 /// Identifies and multiplies with the prior.
