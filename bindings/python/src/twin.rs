@@ -111,9 +111,7 @@ impl Twin {
         let world_from_object = pose.map(|p| self::pose("pose", p)).transpose()?;
         let options = PredictOptions { world_from_object, mass_kg, friction, ..PredictOptions::default() };
         let open = self.opener();
-        let inner = watched(py, None, move |_| {
-            Ok(Predictor::of_twin(&open()?, &options)?.predict()?)
-        })?;
+        let inner = watched(py, None, move |_| Ok(Predictor::of_twin(&open()?, &options)?.predict()?))?;
         let grasp = Py::new(py, Grasp { inner: inner.grasp.clone() })?;
         Ok(Prediction { inner, grasp })
     }

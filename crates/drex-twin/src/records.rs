@@ -152,6 +152,7 @@ pub struct FitRecord {
 
 impl FitRecord {
     /// The record of an evaluated grasp of an object of this weight, N; `correction_rad` is what led to its joints.
+    #[cfg(feature = "stages")]
     pub(crate) fn of(
         demonstration: usize,
         grasp: &Grasp,
