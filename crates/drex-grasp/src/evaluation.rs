@@ -109,6 +109,9 @@ pub struct GraspEvaluation {
     pub passed: bool,
     /// What is wrong, one sentence each.
     pub failures: Vec<String>,
+    /// Whether the thumb and the fingers that have to touch do.
+    #[serde(skip)]
+    pub fingers_touch: bool,
     /// Contacts per finger, the palm last.
     #[serde(rename = "contacts")]
     pub fingers: Vec<FingerContacts>,
@@ -194,7 +197,21 @@ pub fn evaluate_with(
             || touch_gap_m > contact.max_gap_m && links.iter().any(|&l| reaches(l))
     };
     let touching: Vec<bool> = (0..surface.fingers.len()).map(touches).collect();
-    touching_fingers(surface, options, &touching, &mut failures);
+    // How far off the others are is of no interest to a search for grasps that hold, and takes as long as all else.
+    let off_mm = |finger: usize| {
+        if options.must_hold && !options.complete {
+            return None;
+        }
+        let nearest = |best, &l: &usize| {
+            surface.links[l]
+                .nearest(&poses[l], object.geometry.exact(), best)
+                .map_or(best, |(_, distance_m)| distance_m)
+        };
+        let gap_m = surface.fingers[finger].links.iter().fold(f64::INFINITY, nearest);
+        Some(1e3 * gap_m).filter(|gap| gap.is_finite())
+    };
+    touching_fingers(surface, options, &touching, &off_mm, &mut failures);
+    let fingers_touch = failures.is_empty();
     if depth_m > options.max_penetration_m {
         failures.push(format!("link \"{}\" is {:.1} mm inside the object", link(deepest), 1e3 * depth_m));
     }
@@ -255,6 +272,7 @@ pub fn evaluate_with(
     fingers.push(row("palm", None));
     Ok(GraspEvaluation {
         passed: failures.is_empty(),
+        fingers_touch,
         failures,
         fingers,
         penetration_mm: 1e3 * depth_m.max(0.0),
@@ -371,25 +389,35 @@ fn unless_at_the_edge<T>(answer: Result<T>) -> Result<Option<T>> {
     }
 }
 
-/// Whether enough fingers touch, the thumb among them.
-fn touching_fingers(surface: &HandSurface, options: &EvaluationOptions, touching: &[bool], failures: &mut Vec<String>) {
+/// Whether enough fingers touch, the thumb among them; `off_mm` says how far off one is, if that is asked for.
+fn touching_fingers(
+    surface: &HandSurface,
+    options: &EvaluationOptions,
+    touching: &[bool],
+    off_mm: &dyn Fn(usize) -> Option<f64>,
+    failures: &mut Vec<String>,
+) {
+    let off = |f: usize| off_mm(f).map_or(String::new(), |mm| format!(": it is {mm:.1} mm off"));
     let thumb = surface.thumb();
     if options.thumb
         && let Some(t) = thumb
         && !touching[t]
     {
-        failures.push("the thumb does not touch the object".into());
+        failures.push(format!("the thumb does not touch the object{}", off(t)));
     }
     let others: Vec<usize> = (0..surface.fingers.len()).filter(|&f| Some(f) != thumb).collect();
-    let count = others.iter().filter(|&&f| touching[f]).count();
+    let missing: Vec<usize> = others.iter().copied().filter(|&f| !touching[f]).collect();
+    let count = others.len() - missing.len();
     if count < options.min_fingers {
-        let missing: Vec<&str> =
-            others.iter().filter(|&&f| !touching[f]).map(|&f| surface.fingers[f].name.as_str()).collect();
+        let name = |&f: &usize| match off_mm(f) {
+            Some(mm) => format!("{} by {mm:.1} mm", surface.fingers[f].name),
+            None => surface.fingers[f].name.clone(),
+        };
         failures.push(format!(
             "{count} of {} fingers touch the object, {} are asked for (not touching: {})",
             others.len(),
             options.min_fingers,
-            missing.join(", ")
+            missing.iter().map(name).collect::<Vec<_>>().join(", ")
         ));
     }
 }

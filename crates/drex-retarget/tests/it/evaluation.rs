@@ -10,16 +10,16 @@ use drex_robot::Robot;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
-use super::grasp::{cuboid, cylinder, lift, thing};
+use super::grasp::{cuboid, cylinder, lift, solid};
 use super::wrist_fit::half_closed;
 
 /// The tin that the project ships, and boxes and cylinders of random sizes.
 fn objects(random: &mut ChaCha8Rng) -> Vec<Object> {
     let tin = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../data/tin/scan/tin.obj");
-    let tin = thing(&metric_mesh(&tin, LengthUnit::Auto).unwrap().0);
+    let tin = solid(&metric_mesh(&tin, LengthUnit::Auto).unwrap().0);
     let mut size = || [(); 3].map(|()| random.random_range(0.015..0.1));
-    let boxes = [size(), size(), size()].map(|[x, y, z]| thing(&cuboid(x, y, z)));
-    let cylinders = [size(), size()].map(|[radius, half, _]| thing(&cylinder(radius, half)));
+    let boxes = [size(), size(), size()].map(|[x, y, z]| solid(&cuboid(x, y, z)));
+    let cylinders = [size(), size()].map(|[radius, half, _]| solid(&cylinder(radius, half)));
     boxes.into_iter().chain(cylinders).chain([tin]).collect()
 }
 

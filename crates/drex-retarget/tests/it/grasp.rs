@@ -10,7 +10,7 @@ use drex_retarget::*;
 use nalgebra::{Isometry3, Matrix3, Point3, Rotation3, Translation3, UnitQuaternion, Vector3};
 
 /// On a coarse grid, which is quick to make.
-pub fn thing(mesh: &TriMesh) -> Object {
+pub fn solid(mesh: &TriMesh) -> Object {
     let mut options = GridOptions::default();
     options.nodes = 40 * 40 * 40;
     options.margin_m = Some(0.05);
@@ -113,7 +113,7 @@ fn a_lifted_thing_is_held() {
     for name in ["leap_right", "allegro_right"] {
         let target = TargetHand::bundled(name).unwrap();
         for (what, mesh) in [("box", cuboid(0.03, 0.08, 0.06)), ("cylinder", cylinder(0.033, 0.09))] {
-            let thing = thing(&mesh);
+            let thing = solid(&mesh);
             let demo = lift(&target, 0.75);
             let clip = retarget_grasp(&demo, &target, &thing, &GraspOptions::default()).unwrap();
             keeps_the_limits(&target, &clip);
@@ -140,7 +140,7 @@ fn a_lifted_thing_is_held() {
 #[test]
 fn without_an_object_at_hand_it_is_the_vector_result() {
     let target = TargetHand::bundled("allegro_right").unwrap();
-    let thing = thing(&cuboid(0.03, 0.04, 0.05));
+    let thing = solid(&cuboid(0.03, 0.04, 0.05));
     let mut demo = lift(&target, 0.75);
     for frame in &mut demo.frames {
         frame.source_from_object = Some(Isometry3::translation(3.0, 0.0, 0.0));
@@ -168,7 +168,7 @@ fn every_cut_of_a_clip_is_retargeted() {
     // The larger box is one that the hand cannot get out of: there the frames beside a free one are asked for help.
     for (hand, size) in [("leap_right", 1.0), ("leap_right", 2.5), ("allegro_right", 2.5)] {
         let target = TargetHand::bundled(hand).unwrap();
-        let thing = thing(&cuboid(0.03 * size, 0.08 * size, 0.06 * size));
+        let thing = solid(&cuboid(0.03 * size, 0.08 * size, 0.06 * size));
         let demo = lift(&target, 0.75);
         let n = demo.frames.len();
         let cuts = (1..=3).flat_map(|len| (0..=n - len).map(move |from| (from, from + len)));
@@ -180,7 +180,7 @@ fn every_cut_of_a_clip_is_retargeted() {
         }
     }
     let target = TargetHand::bundled("leap_right").unwrap();
-    let thing = thing(&cuboid(0.03, 0.08, 0.06));
+    let thing = solid(&cuboid(0.03, 0.08, 0.06));
     let empty = cut(&lift(&target, 0.75), 0, 0);
     let error = retarget_grasp(&empty, &target, &thing, &GraspOptions::default()).unwrap_err();
     assert!(error.to_string().contains("pose of the object"), "{error}");
@@ -189,7 +189,7 @@ fn every_cut_of_a_clip_is_retargeted() {
 #[test]
 fn what_is_missing_is_said() {
     let target = TargetHand::bundled("leap_right").unwrap();
-    let thing = thing(&cuboid(0.03, 0.04, 0.05));
+    let thing = solid(&cuboid(0.03, 0.04, 0.05));
     let mut demo = lift(&target, 0.75);
     let mut options = GraspOptions::default();
     options.max_joint_speed = 0.0;
@@ -203,7 +203,7 @@ fn what_is_missing_is_said() {
 #[test]
 fn an_object_that_is_hidden_for_a_while_moves_on_between() {
     let target = TargetHand::bundled("leap_right").unwrap();
-    let thing = thing(&cuboid(0.03, 0.04, 0.05));
+    let thing = solid(&cuboid(0.03, 0.04, 0.05));
     let mut demo = lift(&target, 0.75);
     let whole = retarget_grasp(&demo, &target, &thing, &GraspOptions::default()).unwrap();
     let hidden = [0, 7, demo.frames.len() - 1];
@@ -218,7 +218,7 @@ fn an_object_that_is_hidden_for_a_while_moves_on_between() {
 #[test]
 fn hostile_key_points_do_not_panic() {
     let target = TargetHand::bundled("leap_right").unwrap();
-    let thing = thing(&cuboid(0.03, 0.04, 0.05));
+    let thing = solid(&cuboid(0.03, 0.04, 0.05));
     let mut demo = lift(&target, 0.75);
     for (t, frame) in demo.frames.iter_mut().enumerate() {
         for k in 0..KEYPOINTS {
@@ -238,7 +238,7 @@ fn hostile_key_points_do_not_panic() {
 #[test]
 fn one_lift_gives_many_grasps_and_always_the_same() {
     let target = TargetHand::bundled("allegro_right").unwrap();
-    let thing = thing(&cuboid(0.03, 0.08, 0.06));
+    let thing = solid(&cuboid(0.03, 0.08, 0.06));
     let symmetries = symmetries(&thing, 0.001);
     assert_eq!(symmetries.len(), 4, "a box with three different edges has three half turns");
     let demo = lift(&target, 0.75);
@@ -262,12 +262,12 @@ fn one_lift_gives_many_grasps_and_always_the_same() {
 
 #[test]
 fn a_cylinder_turns_about_its_axis_and_a_wedge_does_not_at_all() {
-    let round = thing(&cylinder(0.03, 0.08));
+    let round = solid(&cylinder(0.03, 0.08));
     assert!(symmetries(&round, 0.001).len() >= 12);
     let mut corners = cuboid(0.03, 0.05, 0.08).vertices;
     corners[0] = Point3::origin();
     corners[3] = Point3::new(0.01, 0.02, 0.0);
-    let wedge = thing(&convex_hull(&corners).unwrap());
+    let wedge = solid(&convex_hull(&corners).unwrap());
     assert_eq!(symmetries(&wedge, 0.001).len(), 1);
 }
 
@@ -318,7 +318,7 @@ fn a_recorded_box_is_held() {
 fn every_pair_of_frames_of_a_recorded_box_is_retargeted() {
     let Some(shared) = shared() else { return };
     let folder = shared.join("data/grasps/dexycb_cracker_box");
-    let thing = thing(&convex_hull(&read_mesh(&folder.join("object.obj")).unwrap().vertices).unwrap());
+    let thing = solid(&convex_hull(&read_mesh(&folder.join("object.obj")).unwrap().vertices).unwrap());
     let demo = Demonstration::load(&folder.join("demo.json"), &LoadOptions::default()).unwrap();
     for hand in ["leap_right", "allegro_right"] {
         let target = TargetHand::bundled(hand).unwrap();

@@ -173,14 +173,12 @@ impl Summary {
     fn of(result: &GraspRetargeting) -> Self {
         let held: Vec<_> = result.frames.iter().filter(|f| f.held).collect();
         let most = |v: &dyn Fn(&GraspFrame) -> f64| result.frames.iter().map(v).fold(0.0, f64::max);
-        // Its failures begin with who does not touch.
-        let touching = |f: &GraspFrame| !f.evaluation.failures.iter().any(|why| why.contains("touch the object"));
         let mut grip_forces: Vec<f64> = held.iter().filter_map(|f| f.grip_force_per_weight).collect();
         grip_forces.sort_by(f64::total_cmp);
         Self {
             held: held.len(),
             accepted: result.frames.iter().filter(|f| f.is_accepted()).count(),
-            contact: held.iter().filter(|f| touching(f)).count(),
+            contact: held.iter().filter(|f| f.evaluation.fingers_touch).count(),
             closed: held.iter().filter(|f| f.grip_force_per_weight.is_some()).count(),
             grip_force: grip_forces.get(grip_forces.len() / 2).copied(),
             penetration_mm: most(&|f| f.evaluation.penetration_mm),
