@@ -10,9 +10,13 @@
 //! [`Twin::open`] reads the manifest, [`Twin::run`] does every stage whose inputs changed, [`Predictor`] gives the grasp of a
 //! trained twin and [`deploy`](deploy::deploy) carries it out. What stages write is read with the types of [`records`].
 //!
+//! Of many objects: [`batch`].
+//!
 //! Without the default feature `stages` a twin folder is read and not run: there are [`Twin`], its [`manifest`], [`lock`] and
 //! [`records`], and the [`cameras`] of a scan, for programs that need neither burn nor the engine that finds cameras.
 
+#[cfg(feature = "stages")]
+pub mod batch;
 #[cfg(feature = "stages")]
 pub mod born;
 pub mod cameras;

@@ -99,7 +99,7 @@ impl Twin {
     /// If a stage fails; the message names the stage, what was wrong and what to do. Also if another process works on the folder, and
     /// [`Error::Stopped`] where `progress` stops the run.
     pub fn run(&mut self, options: &RunOptions, progress: &dyn Progress) -> Result<RunSummary> {
-        let RunOptions { ref stages, last, again, report, picture } = *options;
+        let RunOptions { last, again, report, picture, .. } = *options;
         if last.needs_grasps() && self.manifest.grasps.is_none() {
             refuse!(
                 "{} has no [grasps] section, so there is nothing to {}; name a file of demonstrated grasps there",
@@ -111,18 +111,11 @@ impl Twin {
         let started = Instant::now();
         let mut summary =
             RunSummary { name: self.manifest.name.clone(), stages_run: vec![], stages_current: vec![], seconds: 0.0 };
-        let mut asked: Vec<Stage> = stages.clone().unwrap_or_else(|| Stage::ALL.to_vec());
-        asked.retain(|s| *s <= last);
+        let asked = self.stages(options);
         for (place, stage) in asked.iter().copied().enumerate() {
             progress.stages(place, asked.len());
             if progress.is_stopped() {
                 return Err(Error::Stopped);
-            }
-            if stage.needs_grasps() && self.manifest.grasps.is_none()
-                || matches!(stage, Stage::Scan | Stage::Appearance) && self.manifest.scan.is_none()
-                || stage == Stage::Report && report.is_none()
-            {
-                continue;
             }
             let inputs = self.inputs(stage).with_context(|| format!("stage {}", stage.name()))?;
             let altered = self.lock.altered(stage.name(), &inputs);
@@ -175,6 +168,30 @@ impl Twin {
         progress.stages(asked.len(), asked.len());
         summary.seconds = started.elapsed().as_secs_f64();
         Ok(summary)
+    }
+
+    /// The stages that a run with these options looks at: those asked for that this twin has something for.
+    pub fn stages(&self, options: &RunOptions) -> Vec<Stage> {
+        let has = |stage: &Stage| match stage {
+            Stage::Scan | Stage::Appearance => self.manifest.scan.is_some(),
+            Stage::Report => options.report.is_some(),
+            stage => self.manifest.grasps.is_some() || !stage.needs_grasps(),
+        };
+        let asked = options.stages.as_deref().unwrap_or(&Stage::ALL);
+        asked.iter().copied().filter(|stage| *stage <= options.last && has(stage)).collect()
+    }
+
+    /// Whether a run with these options would find nothing to do.
+    ///
+    /// # Errors
+    /// If an input cannot be read.
+    pub fn is_current(&self, options: &RunOptions) -> Result<bool> {
+        for stage in self.stages(options) {
+            if !self.lock.is_current(stage.name(), &self.inputs(stage)?) {
+                return Ok(false);
+            }
+        }
+        Ok(true)
     }
 
     /// Says what is not as the last run left it, and removes what a run that did not end left half-written. Until the value

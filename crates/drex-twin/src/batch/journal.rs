@@ -1,0 +1,66 @@
+//! `journal.jsonl`: what has become of which item, a line for each time that one ended. Lines are only ever added, so a run that is killed
+//! loses nothing but the line that it was writing.
+
+use std::fs::{File, OpenOptions};
+use std::io::{Read, Seek, SeekFrom, Write};
+use std::path::Path;
+use std::sync::{Mutex, PoisonError};
+
+use serde::{Deserialize, Serialize};
+
+use super::row::{Row, RunRecord};
+use crate::error::Context;
+use crate::{Error, Result};
+
+/// Name of the file in the folder of a batch or of a shard.
+pub(super) const JOURNAL: &str = "journal.jsonl";
+
+/// One end of one item.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Entry {
+    /// What was found.
+    pub row: Row,
+    /// What it took.
+    pub run: RunRecord,
+    /// Digest of what the row depends on, where no lock file keeps it.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub inputs_sha256: Option<String>,
+}
+
+/// A journal that is being written.
+pub(super) struct Journal(Mutex<File>);
+
+impl Journal {
+    /// Opens the journal at `path`, or begins one. A line that a run did not end is cut off.
+    pub(super) fn open(path: &Path) -> Result<Self> {
+        let doing = || format!("cannot write {}", path.display());
+        let mut file = OpenOptions::new().read(true).append(true).create(true).open(path).with_context(doing)?;
+        let mut bytes = Vec::new();
+        file.read_to_end(&mut bytes).with_context(doing)?;
+        let whole = bytes.iter().rposition(|b| *b == b'\n').map_or(0, |last| last + 1);
+        if whole < bytes.len() {
+            file.set_len(whole as u64).with_context(doing)?;
+            file.seek(SeekFrom::End(0)).with_context(doing)?;
+        }
+        Ok(Self(Mutex::new(file)))
+    }
+
+    /// Adds a line, which is on the disk when this returns.
+    pub(super) fn append(&self, entry: &Entry) -> Result<()> {
+        let mut line = serde_json::to_vec(entry).map_err(Error::json)?;
+        line.push(b'\n');
+        let mut file = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        file.write_all(&line).and_then(|()| file.sync_data()).context("cannot write the journal of the batch")
+    }
+}
+
+/// The entries of the journal at `path`, in the order in which they were written; none where there is no journal. A line that cannot be read
+/// is left out: that item is done again.
+pub(super) fn read(path: &Path) -> Result<Vec<Entry>> {
+    if !path.exists() {
+        return Ok(Vec::new());
+    }
+    // Not bounded as other files are: nobody else writes it, and a batch may have many items.
+    let bytes = std::fs::read(path).with_context(|| format!("cannot read {}", path.display()))?;
+    Ok(bytes.split(|b| *b == b'\n').filter_map(|line| serde_json::from_slice(line).ok()).collect())
+}

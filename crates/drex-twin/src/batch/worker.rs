@@ -1,0 +1,208 @@
+//! A process for each item: none can take another one down, and none outlives the process that started it.
+//!
+//! The worker reads its [`Request`] as one line of JSON and answers with one. Its standard input stays open for as long as its parent lives:
+//! when it ends, the worker ends its whole process group at once, programs that it started included. What it was writing is done again.
+
+use std::collections::VecDeque;
+use std::fs::File;
+use std::io::{BufRead, BufReader, Read, Write};
+use std::path::Path;
+use std::process::{Child, Command, ExitStatus, Stdio};
+use std::sync::{Mutex, PoisonError};
+use std::time::{Instant, SystemTime, UNIX_EPOCH};
+
+use drex_core::fsutil;
+use drex_splat::usage;
+use serde::{Deserialize, Serialize};
+
+use super::journal::{Entry, Journal};
+use super::row::{Row, RunRecord};
+use super::runner::{Answer, Request, Runner};
+use crate::error::Context;
+use crate::{Error, Progress, Result, RunOptions};
+
+/// Most that a worker may answer, bytes.
+const LONGEST_ANSWER: u64 = 1 << 22;
+
+/// Makes the command of a worker, a program that calls [`answer_request`] at once.
+pub type Program<'a> = &'a (dyn Fn() -> Command + Sync);
+
+/// Hears what becomes of items; called from several threads.
+pub trait Watch: Sync {
+    /// An item ended.
+    fn ended(&self, entry: &Entry);
+
+    /// Somebody else works on an item, which is tried again when the others have ended; `message` says who.
+    fn busy(&self, _name: &str, _message: &str) {}
+}
+
+/// What a worker tells.
+#[derive(Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+enum Reply {
+    /// The item ended.
+    Ended(Box<Entry>),
+    /// Somebody else works on it.
+    Busy(String),
+}
+
+/// Does the requests, so many at a time, and notes in the journal what becomes of each. Returns the names of those that somebody else was
+/// working on to the end.
+pub(super) fn work(
+    requests: &[Request],
+    jobs: usize,
+    program: Program<'_>,
+    logs: &Path,
+    journal: &Journal,
+    watch: &dyn Watch,
+) -> Result<Vec<String>> {
+    let mut left = do_each(requests.iter().collect(), jobs, program, logs, journal, watch)?;
+    if !left.is_empty() {
+        left = do_each(left, jobs, program, logs, journal, watch)?;
+    }
+    Ok(left.into_iter().map(|r| r.item.name.clone()).collect())
+}
+
+/// Does the requests once, and returns those that somebody else works on.
+fn do_each<'a>(
+    requests: VecDeque<&'a Request>,
+    jobs: usize,
+    program: Program<'_>,
+    logs: &Path,
+    journal: &Journal,
+    watch: &dyn Watch,
+) -> Result<VecDeque<&'a Request>> {
+    let (queue, busy) = (Mutex::new(requests), Mutex::new(VecDeque::new()));
+    let next = || queue.lock().unwrap_or_else(PoisonError::into_inner).pop_front();
+    let one_after_the_other = || -> Result<()> {
+        while let Some(request) = next() {
+            match in_a_process(request, program, logs)? {
+                Reply::Ended(entry) => {
+                    journal.append(&entry)?;
+                    watch.ended(&entry);
+                }
+                Reply::Busy(message) => {
+                    watch.busy(&request.item.name, &message);
+                    busy.lock().unwrap_or_else(PoisonError::into_inner).push_back(request);
+                }
+            }
+        }
+        Ok(())
+    };
+    std::thread::scope(|scope| {
+        let threads: Vec<_> = (0..jobs).map(|_| scope.spawn(one_after_the_other)).collect();
+        let ended = threads.into_iter().map(|thread| thread.join().unwrap_or_else(|p| std::panic::resume_unwind(p)));
+        // All of them, so that no item is left half done by the failure of another thread.
+        ended.collect::<Vec<_>>().into_iter().collect::<Result<()>>()
+    })?;
+    Ok(busy.into_inner().unwrap_or_else(PoisonError::into_inner))
+}
+
+/// Does one request in a process of its own. A process that ends without an answer is an item that failed.
+fn in_a_process(request: &Request, program: Program<'_>, logs: &Path) -> Result<Reply> {
+    let begun = Instant::now();
+    let log = fsutil::output_path(logs, &format!("{}.log", request.item.name))?;
+    log.parent().map_or(Ok(()), std::fs::create_dir_all).with_context(|| format!("cannot make {}", logs.display()))?;
+    let file = File::create(&log).with_context(|| format!("cannot write {}", log.display()))?;
+    let mut command = program();
+    command.stdin(Stdio::piped()).stdout(Stdio::piped()).stderr(file);
+    #[cfg(unix)]
+    std::os::unix::process::CommandExt::process_group(&mut command, 0);
+    let mut child = command.spawn().with_context(|| format!("cannot start {:?}", command.get_program()))?;
+    let mut line = serde_json::to_vec(request).map_err(Error::json)?;
+    line.push(b'\n');
+    let mut life_line = child.stdin.take();
+    // A worker that ends before it has read says why in its status.
+    let _ = life_line.as_mut().map(|pipe| pipe.write_all(&line));
+    let mut said = Vec::new();
+    if let Some(out) = child.stdout.take() {
+        let _ = out.take(LONGEST_ANSWER).read_to_end(&mut said);
+    }
+    let ended = child.wait();
+    end_group(&child);
+    drop(life_line);
+    let status = ended.with_context(|| format!("cannot wait for the worker of {}", request.item.name))?;
+    Ok(serde_json::from_slice(&said).unwrap_or_else(|_| {
+        let row = Row::failed(&request.item, request.item.seed(request.seed), without_an_answer(status, request, &log));
+        let run = RunRecord { seconds: begun.elapsed().as_secs_f64(), ..RunRecord::now() };
+        Reply::Ended(Box::new(Entry { row, run, inputs_sha256: None }))
+    }))
+}
+
+/// Ends whatever a worker left running.
+#[cfg(unix)]
+fn end_group(worker: &Child) {
+    if let Some(group) = i32::try_from(worker.id()).ok().and_then(rustix::process::Pid::from_raw) {
+        // Mostly there is nothing left.
+        let _ = rustix::process::kill_process_group(group, rustix::process::Signal::KILL);
+    }
+}
+
+#[cfg(not(unix))]
+fn end_group(_worker: &Child) {}
+
+/// Why a worker gave no answer.
+fn without_an_answer(status: ExitStatus, request: &Request, log: &Path) -> String {
+    let said = std::fs::read_to_string(log).unwrap_or_default();
+    let last = said.lines().rev().find(|line| !line.trim().is_empty()).unwrap_or_default();
+    let how = if said.contains("memory allocation of") {
+        "it needs more memory than an item may take; raise the limit with --max-memory GB".to_owned()
+    } else {
+        format!("its process ended by itself ({status}); it said last: {}", request.without_base(last))
+    };
+    format!("{how}; try it alone, or again with --retry-failed")
+}
+
+impl RunRecord {
+    /// What this process has taken since it began, but for the wall time.
+    pub(super) fn now() -> Self {
+        let since = SystemTime::now().duration_since(UNIX_EPOCH);
+        Self {
+            ended_unix_s: since.map_or(0.0, |s| s.as_secs_f64()),
+            seconds: 0.0,
+            core_seconds: usage::core_seconds(),
+            peak_memory_bytes: usage::peak_memory_bytes(),
+            threads: rayon::current_num_threads(),
+            host: host(),
+        }
+    }
+}
+
+#[cfg(unix)]
+fn host() -> String {
+    rustix::system::uname().nodename().to_string_lossy().into_owned()
+}
+
+#[cfg(not(unix))]
+fn host() -> String {
+    String::new()
+}
+
+/// Does the one request that standard input holds and prints its answer: all that a worker process does. The process ends with its parent.
+///
+/// # Errors
+/// If there is no request on standard input, or the answer cannot be printed.
+pub fn answer_request(options: RunOptions, progress: &dyn Progress) -> Result<()> {
+    let begun = Instant::now();
+    let mut input = BufReader::new(std::io::stdin());
+    let mut line = String::new();
+    input.read_line(&mut line).context("cannot read the request")?;
+    let request: Request =
+        serde_json::from_str(&line).map_err(Error::json).context("standard input holds no request")?;
+    std::thread::Builder::new().name("parent".into()).spawn(move || end_with_parent(input))?;
+    let Answer { row, inputs_sha256 } = Runner::new(options).run(&request, progress)?;
+    let run = RunRecord { seconds: begun.elapsed().as_secs_f64(), ..RunRecord::now() };
+    let reply = Reply::Ended(Box::new(Entry { row, run, inputs_sha256 }));
+    let mut reply = serde_json::to_vec(&reply).map_err(Error::json)?;
+    reply.push(b'\n');
+    std::io::stdout().write_all(&reply).context("nobody hears the answer")
+}
+
+/// Waits until nobody holds the other end, then ends this process and all that it started.
+fn end_with_parent(mut input: impl Read) {
+    let mut byte = [0];
+    while input.read(&mut byte).is_ok_and(|read| read > 0) {}
+    #[cfg(unix)]
+    let _ = rustix::process::kill_current_process_group(rustix::process::Signal::KILL);
+    std::process::exit(1);
+}
