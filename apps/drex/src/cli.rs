@@ -1,5 +1,6 @@
 //! The command line.
 
+mod batch;
 mod grasp;
 mod help;
 mod hw;
@@ -17,6 +18,7 @@ use drex_recording::convert::mujoco_push::{ForceQuality, PoseQuality};
 
 use values::positive;
 
+pub use batch::{BatchArgs, BatchCommand, BatchPlace};
 pub use grasp::{DeployArgs, GraspArgs};
 pub use help::command;
 pub use hw::{
@@ -113,6 +115,8 @@ pub enum Command {
     Run(TwinArgs),
     /// Write report.html again (and what it needs).
     Report(TwinArgs),
+    /// Run a folder of twins, or find grasps for a list of meshes: many objects, many machines.
+    Batch(BatchArgs),
     /// Run the whole path on bundled data.
     Demo(DemoArgs),
     /// Make twin folders from recordings in other layouts.

@@ -4,7 +4,7 @@ use std::time::{Duration, Instant};
 
 use drex_core::budget;
 
-use crate::cli::{Command, Common};
+use crate::cli::{BatchCommand, Command, Common};
 use crate::commands::asset::is_scan;
 use crate::ui::Ui;
 
@@ -27,6 +27,11 @@ impl Limits {
         match command {
             // Nothing may end the program that moves a hand.
             Command::Hw(_) | Command::Deploy(_) => Self { bytes: None, seconds: None },
+            // Its limits are those of each item, whose memory the system itself limits.
+            Command::Batch(args) if matches!(args.command, Some(BatchCommand::Item)) => {
+                Self { bytes: None, seconds: common.max_seconds }
+            }
+            Command::Batch(_) => Self { bytes: None, seconds: None },
             // They train or simulate for as long as is asked for, with what they need.
             Command::Sfm(_)
             | Command::Masks(_)
@@ -76,10 +81,10 @@ pub fn watch(command: &Command, common: &Common, ui: &Ui) -> std::io::Result<()>
 /// Why the command must end, if it must.
 fn exceeded(limits: &Limits, resident: Option<u64>, seconds: f64) -> Option<String> {
     let gb = |bytes: u64| bytes as f64 / f64::from(1 << 30);
-    if let (Some(limit), Some(bytes)) = (limits.bytes, resident.filter(|&b| limits.bytes.is_some_and(|l| b > l))) {
+    // How much more differs from run to run.
+    if let Some(limit) = limits.bytes.filter(|&limit| resident.is_some_and(|bytes| bytes > limit)) {
         return Some(format!(
-            "the command takes {:.2} GB of memory, the limit is {:.2}; give smaller files, or raise it with --max-memory GB",
-            gb(bytes),
+            "the command takes more than {:.2} GB of memory, which is its limit; give smaller files, or raise it with --max-memory GB",
             gb(limit)
         ));
     }
@@ -107,7 +112,7 @@ mod tests {
         assert_eq!(exceeded(&Limits { bytes: None, seconds: None }, Some(u64::MAX), 1e9), None);
         assert_eq!(exceeded(&limits, None, 4.9), None, "memory that is not known");
         let memory = exceeded(&limits, Some(3 << 29), 0.0).unwrap();
-        assert!(memory.contains("1.50 GB") && memory.contains("1.00") && memory.contains("--max-memory"), "{memory}");
+        assert!(memory.contains("1.00 GB") && memory.contains("--max-memory"), "{memory}");
         let time = exceeded(&limits, Some(0), 5.1).unwrap();
         assert!(time.contains("5 s") && time.contains("--max-seconds"), "{time}");
     }

@@ -20,7 +20,7 @@ fn main() -> ExitCode {
     };
     let ui = Ui::new(cli.common.json, cli.common.verbose);
     match run(&cli, &ui) {
-        Ok(()) => ExitCode::SUCCESS,
+        Ok(status) => status,
         Err(error) => {
             ui.failed(&error);
             ExitCode::FAILURE
@@ -28,7 +28,7 @@ fn main() -> ExitCode {
     }
 }
 
-fn run(cli: &Cli, ui: &Ui) -> anyhow::Result<()> {
+fn run(cli: &Cli, ui: &Ui) -> anyhow::Result<ExitCode> {
     if let Some(threads) = cli.common.threads {
         rayon::ThreadPoolBuilder::new().num_threads(threads.into()).build_global()?;
     }
@@ -50,6 +50,7 @@ fn run(cli: &Cli, ui: &Ui) -> anyhow::Result<()> {
         Command::Evaluate(args) => commands::run::run(args, Stage::Evaluate, false, seed, ui),
         Command::Run(args) => commands::run::run(args, Stage::Report, false, seed, ui),
         Command::Report(args) => commands::run::run(args, Stage::Report, true, seed, ui),
+        Command::Batch(args) => return commands::batch::run(args, &cli.common, ui),
         Command::Demo(args) => commands::demo::run(args, seed, ui),
         Command::Import(args) => commands::import::run(args, ui),
         Command::Grasp(args) => commands::grasp::run(args, seed, ui),
@@ -58,5 +59,6 @@ fn run(cli: &Cli, ui: &Ui) -> anyhow::Result<()> {
         Command::Doctor => commands::doctor::run(ui),
         Command::Completions { shell } => commands::shell::completions(*shell, ui),
         Command::Man(args) => commands::shell::man(args, ui),
-    }
+    }?;
+    Ok(ExitCode::SUCCESS)
 }

@@ -36,9 +36,12 @@ impl Ui {
         Self { json, bars: std::io::stderr().is_terminal(), bar: Arc::default() }
     }
 
-    /// A line about what is going on, on stderr.
+    /// A line about what is going on, on stderr, above the bar of the work at hand.
     pub fn note(&self, text: impl AsRef<str>) {
-        eprintln!("{}", text.as_ref());
+        match &*self.bar.lock().unwrap_or_else(PoisonError::into_inner) {
+            Some(bar) => bar.suspend(|| eprintln!("{}", text.as_ref())),
+            None => eprintln!("{}", text.as_ref()),
+        }
     }
 
     /// The answer: `text` for a person, or `value` as one JSON object on stdout.

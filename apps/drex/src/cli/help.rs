@@ -9,7 +9,7 @@ use super::Cli;
 
 /// Headings of `drex --help` and the subcommands below them.
 const GROUPS: [(&str, &[&str]); 6] = [
-    ("All of it", &["demo", "run", "report", "import"]),
+    ("All of it", &["demo", "run", "report", "batch", "import"]),
     ("The object", &["sfm", "masks", "reconstruct", "asset", "mesh", "render"]),
     ("Its mass", &["identify", "plan-push", "calibrate-hand"]),
     ("People's hands", &["hands", "retarget"]),
@@ -18,7 +18,7 @@ const GROUPS: [(&str, &[&str]); 6] = [
 ];
 
 /// Lines behind the help of a subcommand; words of a subcommand's name are separated by blanks.
-const EXAMPLES: [(&str, &str); 29] = [
+const EXAMPLES: [(&str, &str); 31] = [
     (
         "sfm",
         "drex sfm photos --out cameras
@@ -101,6 +101,13 @@ const EXAMPLES: [(&str, &str); 29] = [
     ),
     ("hw emulate", "drex hw emulate leap --link leap --wall if_mcp=0.6"),
     ("run", "drex run twin"),
+    (
+        "batch",
+        "drex batch twins                                     every twin in a folder
+  drex batch twins --stages identify,trial --jobs 4
+  drex batch objects.toml --shard 0/4                 the first of four parts, on a machine of its own",
+    ),
+    ("batch merge", "drex batch merge objects.toml"),
     ("import d-rex", "drex import d-rex recordings --out twins --object cookie"),
     ("import allegro-run", "drex import allegro-run recordings/runs/ketchup1 --out push/ketchup1"),
     ("import mujoco-push", "drex import mujoco-push push_mujoco/brick/lift_force --poses clean --out push/lift"),

@@ -1,6 +1,7 @@
 //! One file per subcommand.
 
 pub mod asset;
+pub mod batch;
 pub mod calibrate_hand;
 pub mod demo;
 pub mod deploy;

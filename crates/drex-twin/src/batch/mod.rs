@@ -24,7 +24,7 @@ pub use self::list::{FindTask, Item, Shard, Task};
 pub use self::row::{Row, RunRecord, Status};
 pub use self::runner::{Answer, Request, Runner};
 pub use self::table::{RESULTS, RUNS, Table};
-pub use self::worker::{Program, Watch, answer_request};
+pub use self::worker::{Plan, Program, Watch, answer_request};
 use crate::error::Context;
 use crate::{Result, RunOptions};
 
@@ -49,6 +49,9 @@ pub struct BatchOptions {
     pub stages: Option<Vec<String>>,
     /// Seed in place of those of manifests and lists.
     pub seed: Option<u64>,
+    /// Address space that the process of an item may take (`RLIMIT_AS`), bytes: its memory, and up to 64 MB more for each of its threads. Without a
+    /// limit if absent.
+    pub max_memory_bytes: Option<u64>,
     /// Number of items that are done at the same time.
     pub jobs: usize,
     /// The part of the items that is done; all if absent.
@@ -62,7 +65,15 @@ pub struct BatchOptions {
 impl Default for BatchOptions {
     /// All stages of all items, one item at a time.
     fn default() -> Self {
-        Self { stages: None, seed: None, jobs: 1, shard: None, retry_failed: false, run: RunOptions::default() }
+        Self {
+            stages: None,
+            seed: None,
+            max_memory_bytes: None,
+            jobs: 1,
+            shard: None,
+            retry_failed: false,
+            run: RunOptions::default(),
+        }
     }
 }
 
@@ -74,14 +85,10 @@ pub struct Summary {
     pub table: Table,
     /// The file of the results.
     pub results: PathBuf,
-    /// Number of items that were done in this run.
-    pub ended: usize,
-    /// Number of items that were up to date.
-    pub current: usize,
-    /// Number of items that had failed before and were not tried again.
-    pub failed_before: usize,
-    /// Names of the items that somebody else was working on.
-    pub busy: Vec<String>,
+    /// What there was to do.
+    pub plan: Plan,
+    /// Names of the items that somebody else was working on to the end, with who that is.
+    pub busy: Vec<(String, String)>,
 }
 
 impl Batch {
@@ -122,6 +129,7 @@ impl Batch {
                 out: self.out.clone(),
                 stages: options.stages.clone(),
                 seed: options.seed,
+                max_memory_bytes: options.max_memory_bytes,
             })
             .collect()
     }
@@ -139,28 +147,30 @@ impl Batch {
         let journal = Journal::open(&folder.join(JOURNAL))?;
         let entries = self.entries()?;
         let known = table::last(&entries);
-        let (mut todo, mut current, mut failed_before) = (Vec::new(), 0, 0);
+        let (mut todo, mut plan) = (Vec::new(), Plan { todo: 0, current: 0, failed_before: 0 });
         for request in self.requests(options) {
             match known.get(request.item.name.as_str()).map(|(_, entry)| *entry) {
                 Some(entry) if entry.row.status == Status::Failed => {
                     if options.retry_failed {
                         todo.push(request)
                     } else {
-                        failed_before += 1
+                        plan.failed_before += 1
                     }
                 }
                 // One that cannot be read any more says so when it is done again.
                 Some(entry) if request.is_current(entry.inputs_sha256.as_deref(), &options.run).unwrap_or_default() => {
-                    current += 1;
+                    plan.current += 1;
                 }
                 _ => todo.push(request),
             }
         }
+        plan.todo = todo.len();
+        watch.begins(&plan);
         let busy = worker::work(&todo, options.jobs.max(1), program, &folder.join("logs"), &journal, watch)?;
         let items: Vec<Item> = self.shard(options).cloned().collect();
         let table = Table::of(&items, options.seed, &self.entries()?);
         let results = table.write(&folder)?;
-        Ok(Summary { table, results, ended: todo.len() - busy.len(), current, failed_before, busy })
+        Ok(Summary { table, results, plan, busy })
     }
 
     /// What is known of all items, whoever did them.

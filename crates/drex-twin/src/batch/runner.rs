@@ -33,6 +33,8 @@ pub struct Request {
     pub stages: Option<Vec<String>>,
     /// Seed in place of those of manifests and lists.
     pub seed: Option<u64>,
+    /// Address space that the process of the item may take, bytes; without a limit if absent.
+    pub max_memory_bytes: Option<u64>,
 }
 
 /// What became of a request.

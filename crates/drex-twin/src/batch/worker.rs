@@ -24,11 +24,29 @@ use crate::{Error, Progress, Result, RunOptions};
 /// Most that a worker may answer, bytes.
 const LONGEST_ANSWER: u64 = 1 << 22;
 
+/// How a program begins its last words when it gets no more memory.
+const NO_MEMORY: &str = "memory allocation of ";
+
 /// Makes the command of a worker, a program that calls [`answer_request`] at once.
 pub type Program<'a> = &'a (dyn Fn() -> Command + Sync);
 
+/// What a run of a batch has to do.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[non_exhaustive]
+pub struct Plan {
+    /// Number of items to be done.
+    pub todo: usize,
+    /// Number of items that are up to date.
+    pub current: usize,
+    /// Number of items that failed before and are not tried again.
+    pub failed_before: usize,
+}
+
 /// Hears what becomes of items; called from several threads.
 pub trait Watch: Sync {
+    /// It is known what is to be done.
+    fn begins(&self, _plan: &Plan) {}
+
     /// An item ended.
     fn ended(&self, entry: &Entry);
 
@@ -47,7 +65,7 @@ enum Reply {
 }
 
 /// Does the requests, so many at a time, and notes in the journal what becomes of each. Returns the names of those that somebody else was
-/// working on to the end.
+/// working on to the end, and who.
 pub(super) fn work(
     requests: &[Request],
     jobs: usize,
@@ -55,15 +73,15 @@ pub(super) fn work(
     logs: &Path,
     journal: &Journal,
     watch: &dyn Watch,
-) -> Result<Vec<String>> {
+) -> Result<Vec<(String, String)>> {
     let mut left = do_each(requests.iter().collect(), jobs, program, logs, journal, watch)?;
     if !left.is_empty() {
-        left = do_each(left, jobs, program, logs, journal, watch)?;
+        left = do_each(left.into_iter().map(|(r, _)| r).collect(), jobs, program, logs, journal, watch)?;
     }
-    Ok(left.into_iter().map(|r| r.item.name.clone()).collect())
+    Ok(left.into_iter().map(|(request, who)| (request.item.name.clone(), who)).collect())
 }
 
-/// Does the requests once, and returns those that somebody else works on.
+/// Does the requests once, and returns those that somebody else works on, with who that is.
 fn do_each<'a>(
     requests: VecDeque<&'a Request>,
     jobs: usize,
@@ -71,8 +89,8 @@ fn do_each<'a>(
     logs: &Path,
     journal: &Journal,
     watch: &dyn Watch,
-) -> Result<VecDeque<&'a Request>> {
-    let (queue, busy) = (Mutex::new(requests), Mutex::new(VecDeque::new()));
+) -> Result<Vec<(&'a Request, String)>> {
+    let (queue, busy) = (Mutex::new(requests), Mutex::new(Vec::new()));
     let next = || queue.lock().unwrap_or_else(PoisonError::into_inner).pop_front();
     let one_after_the_other = || -> Result<()> {
         while let Some(request) = next() {
@@ -83,7 +101,7 @@ fn do_each<'a>(
                 }
                 Reply::Busy(message) => {
                     watch.busy(&request.item.name, &message);
-                    busy.lock().unwrap_or_else(PoisonError::into_inner).push_back(request);
+                    busy.lock().unwrap_or_else(PoisonError::into_inner).push((request, message));
                 }
             }
         }
@@ -145,12 +163,14 @@ fn end_group(_worker: &Child) {}
 fn without_an_answer(status: ExitStatus, request: &Request, log: &Path) -> String {
     let said = std::fs::read_to_string(log).unwrap_or_default();
     let last = said.lines().rev().find(|line| !line.trim().is_empty()).unwrap_or_default();
-    let how = if said.contains("memory allocation of") {
-        "it needs more memory than an item may take; raise the limit with --max-memory GB".to_owned()
-    } else {
-        format!("its process ended by itself ({status}); it said last: {}", request.without_base(last))
-    };
-    format!("{how}; try it alone, or again with --retry-failed")
+    match (request.max_memory_bytes, last.strip_prefix("error: ")) {
+        (Some(limit), _) if said.contains(NO_MEMORY) => format!(
+            "it takes more than {:.2} GB of memory, which is the limit of an item; raise it with --max-memory GB",
+            limit as f64 / f64::from(1 << 30)
+        ),
+        (_, Some(reason)) => request.without_base(reason),
+        _ => format!("its process ended without an answer ({status}) and said last: {}", request.without_base(last)),
+    }
 }
 
 impl RunRecord {
@@ -190,6 +210,7 @@ pub fn answer_request(options: RunOptions, progress: &dyn Progress) -> Result<()
     let request: Request =
         serde_json::from_str(&line).map_err(Error::json).context("standard input holds no request")?;
     std::thread::Builder::new().name("parent".into()).spawn(move || end_with_parent(input))?;
+    limit_memory(&request);
     let Answer { row, inputs_sha256 } = Runner::new(options).run(&request, progress)?;
     let run = RunRecord { seconds: begun.elapsed().as_secs_f64(), ..RunRecord::now() };
     let reply = Reply::Ended(Box::new(Entry { row, run, inputs_sha256 }));
@@ -197,6 +218,20 @@ pub fn answer_request(options: RunOptions, progress: &dyn Progress) -> Result<()
     reply.push(b'\n');
     std::io::stdout().write_all(&reply).context("nobody hears the answer")
 }
+
+/// Has the system refuse this process more address space (`RLIMIT_AS`) than the request allows, where it has such a limit: whatever asks for
+/// more then ends with a message.
+#[cfg(unix)]
+fn limit_memory(request: &Request) {
+    if let Some(bytes) = request.max_memory_bytes {
+        let limit = rustix::process::Rlimit { current: Some(bytes), maximum: Some(bytes) };
+        // Where that is not possible, or less is allowed anyway, the item is done without.
+        let _ = rustix::process::setrlimit(rustix::process::Resource::As, limit);
+    }
+}
+
+#[cfg(not(unix))]
+fn limit_memory(_request: &Request) {}
 
 /// Waits until nobody holds the other end, then ends this process and all that it started.
 fn end_with_parent(mut input: impl Read) {
