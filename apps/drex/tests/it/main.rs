@@ -3,6 +3,7 @@
 
 mod asset;
 mod bad_input;
+mod batch;
 #[path = "../common/mod.rs"]
 mod common;
 mod errors;
