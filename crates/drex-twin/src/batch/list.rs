@@ -1,7 +1,7 @@
 //! The items of a batch: a folder of twins, or a list that names twins and meshes.
 
 use std::collections::BTreeMap;
-use std::path::{Path, PathBuf};
+use std::path::{Component, Path, PathBuf};
 use std::str::FromStr;
 
 use drex_core::fsutil;
@@ -174,9 +174,9 @@ pub(super) fn items(path: &Path) -> Result<(PathBuf, Vec<Item>)> {
         }
         let base = path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new(".")).to_path_buf();
         for twins in &list.twins {
-            let name = text(twins)?;
+            let name = &name_of(twins)?;
             if base.join(twins).join(MANIFEST).exists() || !base.join(twins).is_dir() {
-                found.add(name.to_owned(), Task::Twin(base.join(twins)))?;
+                found.add(name.clone(), Task::Twin(base.join(twins)))?;
             } else {
                 found.twins_below(&base.join(twins), name, 0)?;
             }
@@ -207,11 +207,11 @@ impl Found {
     /// The twins below a folder whose name is `prefix`. What begins with a dot, and links to folders that are no twins, are left out.
     fn twins_below(&mut self, folder: &Path, prefix: &str, depth: usize) -> Result<()> {
         for path in listed(folder)? {
-            let file_name = path.file_name().map(Path::new).unwrap_or(Path::new(""));
-            if !path.is_dir() || file_name.as_os_str().as_encoded_bytes().starts_with(b".") {
+            let file_name = path.file_name().unwrap_or_default();
+            if !path.is_dir() || file_name.as_encoded_bytes().starts_with(b".") {
                 continue;
             }
-            let name = joined(prefix, text(file_name)?);
+            let name = name_of(&Path::new(prefix).join(file_name))?;
             if path.join(MANIFEST).exists() {
                 self.add(name, Task::Twin(path))?;
             } else if !path.is_symlink() && depth < DEEPEST {
@@ -226,12 +226,12 @@ impl Found {
             let path = base.join(mesh);
             let files = if path.is_dir() { meshes_in(&path)? } else { vec![path] };
             for file in files {
-                let stem = fsutil::relative_path(&file, base).with_extension("");
+                let stem = name_of(&fsutil::relative_path(&file, base).with_extension(""))?;
                 for hand in &grid.hands {
                     let hand_name = Path::new(hand).file_stem().unwrap_or_default().to_string_lossy();
                     for mass_kg in &grid.masses_kg {
                         for seed in &grid.seeds {
-                            let mut name = format!("{}-{hand_name}-{mass_kg}kg", text(&stem)?);
+                            let mut name = format!("{stem}-{hand_name}-{mass_kg}kg");
                             if grid.seeds.len() > 1 {
                                 name += &format!("-seed{seed}");
                             }
@@ -278,11 +278,72 @@ pub(super) fn listed(folder: &Path) -> Result<Vec<PathBuf>> {
     Ok(paths)
 }
 
-fn joined(prefix: &str, name: &str) -> String {
-    if prefix.is_empty() { name.to_owned() } else { format!("{prefix}/{name}") }
+/// A path as a name, from its first folder that is one: results are put below a folder by it.
+fn name_of(path: &Path) -> Result<String> {
+    let parts = path.components().filter(|part| matches!(part, Component::Normal(_)));
+    let name: PathBuf = parts.collect();
+    Ok(name.to_str().with_context(|| format!("{} is not Unicode; rename it", path.display()))?.to_owned())
 }
 
-/// A path as a name.
-fn text(path: &Path) -> Result<&str> {
-    path.to_str().with_context(|| format!("{} is not Unicode; rename it", path.display()))
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn shards_share_out_all_items_evenly_and_whatever_else_there_is() {
+        let names: Vec<String> = (0..1000).map(|i| format!("cups/cup-{i}")).collect();
+        for count in [1, 2, 4, 7] {
+            let shards: Vec<Shard> = (0..count).map(|i| format!("{i}/{count}").parse().unwrap()).collect();
+            for name in &names {
+                assert_eq!(shards.iter().filter(|s| s.has(name)).count(), 1, "{name}");
+            }
+            for shard in &shards {
+                let share = names.iter().filter(|name| shard.has(name)).count() * count;
+                // Five standard deviations of a fair draw.
+                assert!((800..=1200).contains(&share), "{shard:?}: {share}");
+            }
+        }
+        // Other machines and later versions must share out alike; by the digests of another program.
+        let first: Vec<&String> = names.iter().filter(|name| "0/100".parse::<Shard>().unwrap().has(name)).collect();
+        assert_eq!(first[..2], ["cups/cup-33", "cups/cup-435"]);
+        for wrong in ["", "1", "4/4", "-1/4", "0/0", "1/2/3", "a/b"] {
+            assert!(wrong.parse::<Shard>().is_err(), "{wrong}");
+        }
+    }
+
+    #[test]
+    fn twins_are_found_below_folders_and_named_by_their_paths() {
+        let dir = tempfile::tempdir().unwrap();
+        let lists = dir.path().join("lists");
+        for twin in ["cups/a", "cups/deep/b", "cups/.hidden/c", "cups/a/inner", "can"] {
+            std::fs::create_dir_all(dir.path().join(twin)).unwrap();
+            std::fs::write(dir.path().join(twin).join(MANIFEST), "").unwrap();
+        }
+        std::fs::create_dir_all(dir.path().join("cups/empty")).unwrap();
+        let names = |path: &Path| items(path).map(|(_, items)| items.into_iter().map(|i| i.name).collect::<Vec<_>>());
+        assert_eq!(names(&dir.path().join("cups")).unwrap(), ["a", "deep/b"]);
+
+        std::fs::create_dir(&lists).unwrap();
+        let list = lists.join("all.toml");
+        std::fs::write(&list, "schema = 1\ntwins = [\"../cups\", \"../can\", \"../nowhere\"]").unwrap();
+        // One that is not there fails when it is run, by its name.
+        assert_eq!(names(&list).unwrap(), ["can", "cups/a", "cups/deep/b", "nowhere"]);
+        std::fs::write(&list, "schema = 1\ntwins = [\"../can\", \"can\"]").unwrap();
+        assert!(names(&list).unwrap_err().to_string().contains("two items have the same name"));
+    }
+
+    #[cfg(unix)]
+    #[test]
+    fn a_link_to_a_twin_counts_and_a_link_to_a_folder_does_not() {
+        let dir = tempfile::tempdir().unwrap();
+        let folder = dir.path().join("twins");
+        std::fs::create_dir_all(dir.path().join("elsewhere/a")).unwrap();
+        std::fs::create_dir(&folder).unwrap();
+        std::fs::write(dir.path().join("elsewhere/a").join(MANIFEST), "").unwrap();
+        std::os::unix::fs::symlink(dir.path().join("elsewhere/a"), folder.join("linked")).unwrap();
+        // A circle.
+        std::os::unix::fs::symlink(&folder, folder.join("self")).unwrap();
+        let (_, items) = items(&folder).unwrap();
+        assert_eq!(items.iter().map(|i| i.name.as_str()).collect::<Vec<_>>(), ["linked"]);
+    }
 }

@@ -18,6 +18,8 @@ mod worker;
 
 use std::path::{Path, PathBuf};
 
+use rayon::prelude::*;
+
 pub use self::journal::Entry;
 use self::journal::{JOURNAL, Journal};
 pub use self::list::{FindTask, Item, Shard, Task};
@@ -148,20 +150,23 @@ impl Batch {
         let entries = self.entries()?;
         let known = table::last(&entries);
         let (mut todo, mut plan) = (Vec::new(), Plan { todo: 0, current: 0, failed_before: 0 });
-        for request in self.requests(options) {
-            match known.get(request.item.name.as_str()).map(|(_, entry)| *entry) {
-                Some(entry) if entry.row.status == Status::Failed => {
-                    if options.retry_failed {
-                        todo.push(request)
-                    } else {
-                        plan.failed_before += 1
-                    }
-                }
-                // One that cannot be read any more says so when it is done again.
-                Some(entry) if request.is_current(entry.inputs_sha256.as_deref(), &options.run).unwrap_or_default() => {
-                    plan.current += 1;
-                }
-                _ => todo.push(request),
+        let requests = self.requests(options);
+        // One that cannot be read any more says so when it is done again.
+        let is_current = |request: &Request| match known.get(request.item.name.as_str()) {
+            Some((_, Entry { row, inputs_sha256, .. })) if row.status == Status::Done => {
+                request.is_current(inputs_sha256.as_deref(), &options.run).unwrap_or_default()
+            }
+            _ => false,
+        };
+        let current: Vec<bool> = requests.par_iter().map(is_current).collect();
+        for (request, current) in requests.into_iter().zip(current) {
+            let failed = known.get(request.item.name.as_str()).is_some_and(|(_, e)| e.row.status == Status::Failed);
+            if current {
+                plan.current += 1;
+            } else if failed && !options.retry_failed {
+                plan.failed_before += 1;
+            } else {
+                todo.push(request);
             }
         }
         plan.todo = todo.len();

@@ -175,7 +175,18 @@ impl Request {
     /// A message with the folder of the batch left out of its paths.
     pub(super) fn without_base(&self, message: &str) -> String {
         let folder = format!("{}/", self.base.display());
-        message.replace(&folder, "")
+        let mut short = String::new();
+        let mut rest = message;
+        while let Some(at) = rest.find(&folder) {
+            let (before, from) = rest.split_at(at);
+            short += before;
+            // Where a path begins, and not in the middle of another one.
+            let begins = !short.ends_with(|c: char| c.is_alphanumeric() || "/._-".contains(c));
+            let (name, after) = from.split_at(folder.len());
+            short += if begins { "" } else { name };
+            rest = after;
+        }
+        short + rest
     }
 }
 
@@ -215,4 +226,24 @@ fn write_found(request: &Request, task: &FindTask, friction: f64, found: Option<
         verdicts: found.map(|f| f.verdicts.as_slice()),
     };
     write_json(&found_path(request)?, &file)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn messages_leave_out_where_the_batch_lies() {
+        let short = |base: &str, message: &str| {
+            let item = Item { name: "a".into(), task: Task::Twin(PathBuf::new()) };
+            let (base, out) = (base.into(), PathBuf::new());
+            Request { item, base, out, stages: None, seed: None, max_memory_bytes: None }.without_base(message)
+        };
+        assert_eq!(
+            short("/lab/cups", "stage asset of /lab/cups/a: \"/lab/cups/a/x.obj\""),
+            "stage asset of a: \"a/x.obj\""
+        );
+        assert_eq!(short(".", "./a/twin.toml names ../hands/leap.xml"), "a/twin.toml names ../hands/leap.xml");
+        assert_eq!(short("cups", "cups/a, teacups/b, /lab/cups/c"), "a, teacups/b, /lab/cups/c");
+    }
 }

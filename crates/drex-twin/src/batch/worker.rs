@@ -92,18 +92,23 @@ fn do_each<'a>(
 ) -> Result<Vec<(&'a Request, String)>> {
     let (queue, busy) = (Mutex::new(requests), Mutex::new(Vec::new()));
     let next = || queue.lock().unwrap_or_else(PoisonError::into_inner).pop_front();
+    let do_one = |request: &'a Request| -> Result<()> {
+        match in_a_process(request, program, logs)? {
+            Reply::Ended(entry) => {
+                journal.append(&entry)?;
+                watch.ended(&entry);
+            }
+            Reply::Busy(message) => {
+                watch.busy(&request.item.name, &message);
+                busy.lock().unwrap_or_else(PoisonError::into_inner).push((request, message));
+            }
+        }
+        Ok(())
+    };
     let one_after_the_other = || -> Result<()> {
         while let Some(request) = next() {
-            match in_a_process(request, program, logs)? {
-                Reply::Ended(entry) => {
-                    journal.append(&entry)?;
-                    watch.ended(&entry);
-                }
-                Reply::Busy(message) => {
-                    watch.busy(&request.item.name, &message);
-                    busy.lock().unwrap_or_else(PoisonError::into_inner).push((request, message));
-                }
-            }
+            // What has failed here, such as a disk that is full, would fail for the others too: they are left.
+            do_one(request).inspect_err(|_| queue.lock().unwrap_or_else(PoisonError::into_inner).clear())?;
         }
         Ok(())
     };
