@@ -147,7 +147,7 @@ impl Batch {
         let folder = self.folder(options);
         std::fs::create_dir_all(&folder).with_context(|| format!("cannot make {}", folder.display()))?;
         let journal = Journal::open(&folder.join(JOURNAL))?;
-        let entries = self.entries()?;
+        let entries = self.entries(options.shard)?;
         let known = table::last(&entries);
         let (mut todo, mut plan) = (Vec::new(), Plan { todo: 0, current: 0, failed_before: 0 });
         let requests = self.requests(options);
@@ -173,7 +173,7 @@ impl Batch {
         watch.begins(&plan);
         let busy = worker::work(&todo, options.jobs.max(1), program, &folder.join("logs"), &journal, watch)?;
         let items: Vec<Item> = self.shard(options).cloned().collect();
-        let table = Table::of(&items, options.seed, &self.entries()?);
+        let table = Table::of(&items, options.seed, &self.entries(options.shard)?);
         let results = table.write(&folder)?;
         Ok(Summary { table, results, plan, busy })
     }
@@ -183,7 +183,7 @@ impl Batch {
     /// # Errors
     /// If a journal cannot be read.
     pub fn table(&self) -> Result<Table> {
-        Ok(Table::of(&self.items, None, &self.entries()?))
+        Ok(Table::of(&self.items, None, &self.entries(None)?))
     }
 
     fn shard<'a>(&'a self, options: &BatchOptions) -> impl Iterator<Item = &'a Item> {
@@ -196,14 +196,16 @@ impl Batch {
         options.shard.map_or_else(|| self.out.clone(), |shard| self.out.join(SHARDS).join(shard.folder()))
     }
 
-    /// What all journals say.
-    fn entries(&self) -> Result<Vec<Entry>> {
-        let mut journals = vec![self.out.join(JOURNAL)];
+    /// What the journals say that a run with these options goes on from: of a shard its own, of the whole batch all.
+    fn entries(&self, shard: Option<Shard>) -> Result<Vec<Entry>> {
         let shards = self.out.join(SHARDS);
-        if shards.is_dir() {
-            journals.extend(list::listed(&shards)?.into_iter().map(|folder| folder.join(JOURNAL)));
+        let mut folders = vec![self.out.clone()];
+        match shard {
+            Some(shard) => folders.push(shards.join(shard.folder())),
+            None if shards.is_dir() => folders.extend(list::listed(&shards)?),
+            None => {}
         }
-        let entries = journals.iter().map(|path| journal::read(path)).collect::<Result<Vec<_>>>()?;
+        let entries = folders.iter().map(|folder| journal::read(&folder.join(JOURNAL))).collect::<Result<Vec<_>>>()?;
         Ok(entries.into_iter().flatten().collect())
     }
 }
