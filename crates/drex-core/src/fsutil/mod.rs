@@ -1,5 +1,6 @@
 //! Reading with a message that names the file, and writing that leaves the old file or the new one, never half of one.
 
+mod lock;
 mod output;
 
 use std::fs;
@@ -8,6 +9,7 @@ use std::path::{Component, Path, PathBuf};
 
 use serde::de::DeserializeOwned;
 
+pub use self::lock::lock_holder;
 pub use self::output::{OutputFolder, argument, output_path, remove_unfinished, temporary_path};
 use crate::{Error, Result, budget};
 
