@@ -89,6 +89,7 @@ const WRITERS: &[(&str, Why)] = &[
     ("crates/drex-splat/src/reconstruct.rs", Checked),
     ("crates/drex-splat/src/train/checkpoint.rs", Caller),
     ("crates/drex-sysid/src/calibrate/mod.rs", Caller),
+    ("crates/drex-twin/src/alone.rs", Checked),
     ("crates/drex-twin/src/deploy.rs", Constant),
     ("crates/drex-twin/src/lock.rs", Checked),
     ("crates/drex-twin/src/masks.rs", Checked),

@@ -37,7 +37,8 @@ pub use retarget::{DetectorArg, HandsArgs, ObjectiveArg, ReadingArgs, RetargetAr
     version,
     max_term_width = 110,
     after_help = "drex SUBCOMMAND --help says more, with examples; drex doctor says what this machine has and lacks.\n\
-        Exit status: 0 done (a verdict such as \"not identifiable\" is an answer), 1 failed, 2 wrong usage."
+        Exit status: 0 done (a verdict such as \"not identifiable\" is an answer), 1 failed, 2 wrong usage, \
+        75 another drex is at work on the folder: try again later."
 )]
 pub struct Cli {
     /// What to do.

@@ -11,7 +11,10 @@ use clap::FromArgMatches;
 
 use crate::cli::{Cli, Command};
 use crate::ui::Ui;
-use drex_twin::Stage;
+use drex_twin::{Error, Stage};
+
+/// Exit status where another process works on the folder: EX_TEMPFAIL, after which schedulers try again.
+const BUSY: u8 = 75;
 
 fn main() -> ExitCode {
     let cli = match Cli::from_arg_matches(&cli::command().get_matches()) {
@@ -23,7 +26,7 @@ fn main() -> ExitCode {
         Ok(status) => status,
         Err(error) => {
             ui.failed(&error);
-            ExitCode::FAILURE
+            if is_busy(&error) { ExitCode::from(BUSY) } else { ExitCode::FAILURE }
         }
     }
 }
@@ -61,4 +64,28 @@ fn run(cli: &Cli, ui: &Ui) -> anyhow::Result<ExitCode> {
         Command::Man(args) => commands::shell::man(args, ui),
     }?;
     Ok(ExitCode::SUCCESS)
+}
+
+/// Whether the command failed because another process works on the folder.
+fn is_busy(error: &anyhow::Error) -> bool {
+    error.chain().any(|cause| {
+        // `Error::While` keeps its cause in a box.
+        let boxed = cause.downcast_ref::<Box<Error>>().map(AsRef::as_ref);
+        matches!(boxed.or_else(|| cause.downcast_ref()), Some(Error::Busy { .. }))
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_busy_folder_is_found_whatever_was_being_done() {
+        let busy = || Error::Busy { folder: "tin".into(), who: "process 1".into() };
+        let inside = || Error::While { doing: "object 3".into(), source: Box::new(busy()) };
+        for error in [anyhow::Error::new(busy()), anyhow::Error::new(inside()).context("the batch")] {
+            assert!(is_busy(&error), "{error:?}");
+        }
+        assert!(!is_busy(&anyhow::Error::new(Error::Stopped).context("another drex is at work")));
+    }
 }

@@ -1,6 +1,7 @@
 //! What can go wrong in a twin: what was done, what was wrong, and what to do.
 
 use std::fmt::Display;
+use std::path::PathBuf;
 
 /// Result of this crate.
 pub type Result<T, E = Error> = std::result::Result<T, E>;
@@ -12,6 +13,14 @@ pub enum Error {
     /// What is asked cannot be done with what the twin holds; the message says what is missing and what to do.
     #[error("{0}")]
     Refused(String),
+    /// Another process works on the folder; the same can be tried again when it is done.
+    #[error("another drex is at work on {}: {who}; wait until it is done, or end it", folder.display())]
+    Busy {
+        /// The folder.
+        folder: PathBuf,
+        /// The process as far as it is known, with its host where that may be another one.
+        who: String,
+    },
     /// [`Progress::is_stopped`](crate::Progress::is_stopped) said so.
     #[error("stopped; another run goes on from here")]
     Stopped,

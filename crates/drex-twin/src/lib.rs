@@ -16,6 +16,8 @@
 //! [`records`], and the [`cameras`] of a scan, for programs that need neither burn nor the engine that finds cameras.
 
 #[cfg(feature = "stages")]
+mod alone;
+#[cfg(feature = "stages")]
 pub mod batch;
 #[cfg(feature = "stages")]
 pub mod born;
@@ -67,19 +69,20 @@ mod texture;
 pub mod timings;
 mod twin;
 
-pub use {
-    error::{Error, Result},
-    hand::with_torque_cap,
-    twin::Twin,
-};
 #[cfg(feature = "stages")]
 pub use {
+    alone::Alone,
     inputs::Stage,
     pipeline::{Reporter, RunOptions, RunSummary},
     predict::{PredictOptions, Prediction, Predictor, predict},
     progress::Progress,
     scene::Scene,
     stages::recordings,
+};
+pub use {
+    error::{Error, Result},
+    hand::with_torque_cap,
+    twin::Twin,
 };
 
 #[cfg(all(test, feature = "stages"))]

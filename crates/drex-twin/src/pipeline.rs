@@ -1,6 +1,5 @@
 //! The pipeline: every stage whose inputs changed, in order.
 
-use std::fs::{File, TryLockError};
 use std::path::PathBuf;
 use std::time::Instant;
 
@@ -10,7 +9,7 @@ use serde::Serialize;
 use crate::error::{Context, refuse};
 use crate::inputs::Stage;
 use crate::timings::{self, Timing};
-use crate::{Error, Progress, Result, Twin, stages};
+use crate::{Alone, Error, Progress, Result, Twin, stages};
 
 /// Writes something about a twin and names the files; `drex_report::write` and `drex_report::write_picture` do.
 pub type Reporter = fn(&Twin) -> Result<Vec<PathBuf>, Box<dyn std::error::Error + Send + Sync>>;
@@ -96,8 +95,8 @@ impl Twin {
     /// A run that is stopped goes on where it was when it is started again, and ends with the same bytes.
     ///
     /// # Errors
-    /// If a stage fails; the message names the stage, what was wrong and what to do. Also if another process works on the folder, and
-    /// [`Error::Stopped`] where `progress` stops the run.
+    /// If a stage fails; the message names the stage, what was wrong and what to do. [`Error::Busy`] if another process works on the
+    /// folder, and [`Error::Stopped`] where `progress` stops the run.
     pub fn run(&mut self, options: &RunOptions, progress: &dyn Progress) -> Result<RunSummary> {
         let RunOptions { last, again, report, picture, .. } = *options;
         if last.needs_grasps() && self.manifest.grasps.is_none() {
@@ -196,17 +195,9 @@ impl Twin {
 
     /// Says what is not as the last run left it, and removes what a run that did not end left half-written. Until the value
     /// is dropped no other process works on this folder.
-    fn begin(&self, progress: &dyn Progress) -> Result<Option<File>> {
+    fn begin(&self, progress: &dyn Progress) -> Result<Alone> {
         self.lock.damage().iter().for_each(|damage| progress.note(&format!("{:>10}  {damage}", "note")));
-        let file = File::open(&self.file).with_context(|| format!("cannot read {}", self.file.display()))?;
-        match file.try_lock() {
-            Ok(()) => {}
-            Err(TryLockError::WouldBlock) => {
-                refuse!("another drex is at work on {}: wait until it is done", self.root.display())
-            }
-            // A file system without locks: somebody else's half-written file could be one that is being written.
-            Err(TryLockError::Error(_)) => return Ok(None),
-        }
+        let alone = Alone::take(&self.file, &self.root)?;
         let folders = ["scan", "sfm", "splat", "depth", "mesh", "asset", "grasps", "policy"];
         let mut removed = fsutil::remove_unfinished(&self.root, false)?;
         for folder in folders {
@@ -219,7 +210,7 @@ impl Twin {
                 "note"
             ));
         }
-        Ok(Some(file))
+        Ok(alone)
     }
 
     fn make(&self, stage: Stage, report: Option<Reporter>, progress: &dyn Progress) -> Result<Vec<PathBuf>> {

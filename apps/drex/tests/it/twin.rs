@@ -129,6 +129,25 @@ fn runs_killed_at_any_moment_end_in_the_same_folder() {
 }
 
 #[test]
+fn a_folder_at_which_another_is_at_work_is_for_later() {
+    let (_dir, twin) = small_twin(2);
+    let held = fs::File::open(twin.join("twin.toml")).unwrap();
+    held.lock().unwrap();
+    for command in ["run", "train", "report"] {
+        let run = drex([command, "--json", twin.to_str().unwrap()]);
+        assert_eq!(run.code, 75, "{}", run.stderr);
+        let message = run.json()["error"].as_str().unwrap().to_owned();
+        assert_eq!(run.stderr.trim(), format!("error: {message}"));
+        for words in ["another drex is at work on", twin.to_str().unwrap(), "wait until it is done"] {
+            assert!(message.contains(words), "`{words}` is missing in: {message}");
+        }
+        if cfg!(target_os = "linux") {
+            assert!(message.contains(&format!("process {}", std::process::id())), "{message}");
+        }
+    }
+}
+
+#[test]
 fn the_doctor_finds_what_the_demo_needs() {
     let run = drex(["doctor", "--json"]);
     assert_eq!(run.code, 0, "{}", run.stderr);

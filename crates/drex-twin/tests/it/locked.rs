@@ -2,7 +2,7 @@
 
 use std::fs;
 
-use drex_twin::Stage;
+use drex_twin::{Error, Stage};
 
 use crate::common::{STAGES, fails_with, made, run, run_until, template, weighed_twin};
 use crate::support::{assert_same_folder, edit, tree};
@@ -14,6 +14,7 @@ fn two_runs_do_not_work_on_one_folder() {
     let held = fs::File::open(twin.join("twin.toml")).unwrap();
     held.lock().unwrap();
     fails_with(&twin, &["another drex is at work on", "wait until it is done"]);
+    assert!(matches!(run(&twin), Err(Error::Busy { folder, .. }) if folder == twin));
     assert_eq!(tree(&twin), before, "the run that was refused wrote something");
     drop(held);
     assert_eq!(run_until(&twin, Stage::Asset).unwrap().0.stages_run, ["identify", "asset"]);
