@@ -15,6 +15,13 @@ pyo3::create_exception!(
 
 pyo3::create_exception!(
     drex,
+    Busy,
+    Error,
+    "Another process works on the folder: the message says which, and the same call can be made again later."
+);
+
+pyo3::create_exception!(
+    drex,
     NoCommand,
     Error,
     "There is no command for a grasp: the message says why, `verdict` how a trial of it ends."
@@ -27,6 +34,8 @@ pub(crate) enum Failure {
     File { errno: Option<i32>, what: String, path: PathBuf },
     /// `drex.Error` with the library's message.
     Refused(String),
+    /// `drex.Busy` with the library's message.
+    Busy(String),
     /// An exception that Python itself raised, such as `KeyboardInterrupt`.
     Python(PyErr),
 }
@@ -51,6 +60,7 @@ impl From<Failure> for PyErr {
             }
             Failure::File { errno: None, what, path } => PyOSError::new_err(format!("{}: {what}", path.display())),
             Failure::Refused(what) => Error::new_err(what),
+            Failure::Busy(what) => Busy::new_err(what),
             Failure::Python(error) => error,
         }
     }
@@ -133,13 +143,14 @@ impl From<drex_trial::Error> for Failure {
 
 impl From<drex_twin::Error> for Failure {
     fn from(error: drex_twin::Error) -> Self {
-        use drex_twin::Error::{Core, Mesh, Policy, Report, Retarget, Robot, Sysid, While};
+        use drex_twin::Error::{Busy, Core, Mesh, Policy, Report, Retarget, Robot, Sysid, While};
         // What was done, then why it failed, as the command line puts it.
         let after = |doing: String, why: String| if doing.contains(&why) { doing } else { format!("{doing}: {why}") };
         match error {
             While { doing, source } => match Self::from(*source) {
                 Self::File { errno, what, path } => Self::File { errno, what: after(doing, what), path },
                 Self::Refused(why) => Self::Refused(after(doing, why)),
+                Self::Busy(why) => Self::Busy(after(doing, why)),
                 python => python,
             },
             Core(inner) => inner.into(),
@@ -148,6 +159,7 @@ impl From<drex_twin::Error> for Failure {
             Retarget(inner) => inner.into(),
             Sysid(inner) => inner.into(),
             Policy(inner) => inner.into(),
+            Busy { .. } => Self::Busy(error.to_string()),
             Report(ref why) => Self::Refused(after(error.to_string(), why.to_string())),
             other => Self::Refused(other.to_string()),
         }

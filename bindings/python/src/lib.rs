@@ -18,7 +18,7 @@ mod watch;
 #[pyo3::pymodule]
 mod _drex {
     #[pymodule_export]
-    use crate::failure::{Error, NoCommand};
+    use crate::failure::{Busy, Error, NoCommand};
     #[pymodule_export]
     use crate::grasp::{Grasp, PredictedGrasp};
     #[pymodule_export]

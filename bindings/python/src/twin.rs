@@ -63,6 +63,7 @@ impl Twin {
     /// `stages` are the names of those that are asked for (all if left out); what they need is done too. `progress` is called now and then
     /// with the part of the stages that is done, from 0 to 1, `note` with each line that the command line would print. Ctrl-C, or an
     /// exception of these two, ends the call at once; the stage at work stops as soon as it can, and another run goes on from there.
+    /// Raises `Busy` if another process works on the twin.
     #[pyo3(signature = (stages=None, progress=None, *, note=None))]
     fn run<'py>(
         &self,

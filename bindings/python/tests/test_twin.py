@@ -1,5 +1,6 @@
 """Twins: the pipeline, the mass, the network and the grasp that it gives."""
 
+import fcntl
 import json
 import os
 import shutil
@@ -132,16 +133,23 @@ class Twins(Case):
         shutil.copytree(self.twin, broken)
         (broken / "push" / "tilt" / "poses.csv").write_text("no poses\n")
         nowhere = self.folder / "nowhere"
+        busy = self.folder / "busy"
+        shutil.copytree(self.twin, busy)
+        held = open(busy / "twin.toml")
+        self.addCleanup(held.close)
+        fcntl.flock(held, fcntl.LOCK_EX)
         cases = [
             (lambda: drex.Twin.open(nowhere), ["run", nowhere], "give a twin.toml or the folder that holds it"),
             (lambda: drex.Twin.open(self.twin).predict(), ["grasp", self.twin], "has no policy yet"),
             (lambda: drex.Twin.open(bare).run(["train"]), ["train", bare], r"has no \[grasps\] section"),
             (lambda: drex.Twin.open(broken).run(["identify"]), ["identify", broken], "stage identify"),
+            (lambda: drex.Twin.open(busy).run(), ["run", busy], "another drex is at work on .*; wait until it is done"),
         ]
         for call, command, words in cases:
             with self.subTest(words):
                 with self.assertRaisesRegex(drex.Error, words) as raised:
                     call()
+                self.assertEqual(isinstance(raised.exception, drex.Busy), "at work" in words)
                 if PROGRAM:
                     said = subprocess.run([PROGRAM, *command], capture_output=True, text=True).stderr
                     self.assertEqual(f"error: {raised.exception}", said.strip().splitlines()[-1])
@@ -177,7 +185,7 @@ class Twins(Case):
         for _ in range(200):
             try:
                 return self.assertTrue(done())
-            except drex.Error as error:
+            except drex.Busy as error:
                 self.assertIn("another drex is at work", str(error))
                 time.sleep(0.1)
         self.fail("the run that was stopped goes on")

@@ -11,6 +11,7 @@ import numpy as _numpy  # the compiled part needs it, and says less clearly that
 
 from ._drex import (
     Asset,
+    Busy,
     Command,
     Error,
     Grasp,
@@ -42,6 +43,7 @@ from ._drex import (
 
 __all__ = [
     "Asset",
+    "Busy",
     "Command",
     "Error",
     "Grasp",

@@ -30,6 +30,7 @@ _Verdict: TypeAlias = Literal[
 
 __all__ = [
     "Asset",
+    "Busy",
     "Command",
     "Error",
     "Grasp",
@@ -62,6 +63,8 @@ __all__ = [
 __version__: str
 
 class Error(ValueError): ...
+
+class Busy(Error): ...
 
 class NoCommand(Error):
     verdict: _Verdict
