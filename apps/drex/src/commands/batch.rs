@@ -10,6 +10,7 @@ use drex_twin::batch::{Batch, BatchOptions, Entry, Plan, Row, Status, Table, Wat
 use drex_twin::{Progress, RunOptions};
 use serde_json::{Map, json};
 
+use crate::BUSY;
 use crate::cli::{BatchArgs, BatchCommand, BatchPlace, Common};
 use crate::ui::Ui;
 
@@ -17,8 +18,6 @@ use crate::ui::Ui;
 const FAILURES_SHOWN: usize = 10;
 /// Part of the machine's memory that all items together may take unless somebody says how much.
 const SHARE_OF_MEMORY: f64 = 0.8;
-/// Exit status of a batch of which somebody else was working on an item to the end (EX_TEMPFAIL).
-const BUSY: u8 = 75;
 
 /// Runs what is asked for and answers with counts and the table's place.
 pub fn run(args: &BatchArgs, common: &Common, ui: &Ui) -> Result<ExitCode> {

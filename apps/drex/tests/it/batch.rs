@@ -258,6 +258,25 @@ fn a_worker_that_dies_or_takes_too_much_is_a_failure_of_its_item() {
 }
 
 #[test]
+fn what_somebody_else_works_on_comes_later_or_is_left() {
+    let (_dir, folder) = twins(3);
+    let held = fs::File::open(folder.join("row0/tin-0/twin.toml")).unwrap();
+    held.lock().unwrap();
+    let run = quick(&folder, &["--jobs", "1", "--json"]);
+    assert_eq!(run.code, 75, "{}", run.stderr);
+    assert!(run.stderr.contains("row0/tin-0 comes later: ") && run.stderr.contains("row0/tin-0 was not done: "));
+    assert_eq!((&run.json()["done"], &run.json()["pending"]), (&2.into(), &1.into()));
+    drop(held);
+    assert_eq!(quick(&folder, &[]).code, 0);
+
+    let held = fs::File::open(folder.join("batch/journal.jsonl")).unwrap();
+    held.lock().unwrap();
+    let run = quick(&folder, &["--retry-failed"]);
+    assert!(run.code == 75 && run.stderr.contains("another drex is at work on"), "{}: {}", run.code, run.stderr);
+    assert_eq!(quick(&folder, &["--shard", "0/2"]).code, 0, "a part is written elsewhere");
+}
+
+#[test]
 fn grasps_are_found_for_meshes_masses_and_hands() {
     let dir = tempfile::tempdir().unwrap();
     fs::create_dir(dir.path().join("meshes")).unwrap();

@@ -16,6 +16,7 @@ mod runner;
 mod table;
 mod worker;
 
+use std::fs::File;
 use std::path::{Path, PathBuf};
 
 use rayon::prelude::*;
@@ -27,6 +28,7 @@ pub use self::row::{Row, RunRecord, Status};
 pub use self::runner::{Answer, Request, Runner};
 pub use self::table::{RESULTS, RUNS, Table};
 pub use self::worker::{Plan, Program, Watch, answer_request};
+use crate::alone::Alone;
 use crate::error::Context;
 use crate::{Result, RunOptions};
 
@@ -140,13 +142,20 @@ impl Batch {
     /// [`BatchOptions::retry_failed`] is set. A run that is killed goes on where it was when it is started again.
     ///
     /// # Errors
-    /// If a stage is unknown, the folder of the results cannot be written, another run writes there, or a worker cannot be started. An item
-    /// that fails is no error: its row says why.
+    /// If a stage is unknown, the folder of the results cannot be written, or a worker cannot be started; [`Error::Busy`](crate::Error::Busy)
+    /// if another run works with that folder. An item that fails is no error: its row says why.
     pub fn run(&self, options: &BatchOptions, program: Program<'_>, watch: &dyn Watch) -> Result<Summary> {
         options.stages.as_deref().map_or(Ok(Vec::new()), runner::stages)?;
         let folder = self.folder(options);
         std::fs::create_dir_all(&folder).with_context(|| format!("cannot make {}", folder.display()))?;
-        let journal = Journal::open(&folder.join(JOURNAL))?;
+        let journal = folder.join(JOURNAL);
+        File::options()
+            .append(true)
+            .create(true)
+            .open(&journal)
+            .with_context(|| format!("cannot write {}", journal.display()))?;
+        let _alone = Alone::take(&journal, &folder)?;
+        let journal = Journal::open(&journal)?;
         let entries = self.entries(options.shard)?;
         let known = table::last(&entries);
         let (mut todo, mut plan) = (Vec::new(), Plan { todo: 0, current: 0, failed_before: 0 });

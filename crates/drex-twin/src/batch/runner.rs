@@ -77,7 +77,8 @@ impl Runner {
     /// Does an item; what it has made stays, and doing it again finds that.
     ///
     /// # Errors
-    /// Only if `progress` stopped it: [`Error::Stopped`]. Whatever else goes wrong is the answer.
+    /// Only [`Error::Stopped`] if `progress` stopped it, and [`Error::Busy`] if somebody else works on it. Whatever else goes wrong is the
+    /// answer.
     pub fn run(&mut self, request: &Request, progress: &dyn Progress) -> Result<Answer> {
         let item = &request.item;
         let made = match &item.task {
@@ -86,7 +87,7 @@ impl Runner {
         };
         Ok(match made {
             Ok((row, inputs_sha256)) => Answer { row, inputs_sha256 },
-            Err(Error::Stopped) => return Err(Error::Stopped),
+            Err(error @ (Error::Stopped | Error::Busy { .. })) => return Err(error),
             Err(error) => {
                 let message = request.without_base(&error.with_causes());
                 Answer { row: Row::failed(item, item.seed(request.seed), message), inputs_sha256: None }

@@ -18,6 +18,7 @@ use serde::{Deserialize, Serialize};
 use super::journal::{Entry, Journal};
 use super::row::{Row, RunRecord};
 use super::runner::{Answer, Request, Runner};
+use crate::alone::host;
 use crate::error::Context;
 use crate::{Error, Progress, Result, RunOptions};
 
@@ -193,16 +194,6 @@ impl RunRecord {
     }
 }
 
-#[cfg(unix)]
-fn host() -> String {
-    rustix::system::uname().nodename().to_string_lossy().into_owned()
-}
-
-#[cfg(not(unix))]
-fn host() -> String {
-    String::new()
-}
-
 /// Does the one request that standard input holds and prints its answer: all that a worker process does. The process ends with its parent.
 ///
 /// # Errors
@@ -216,9 +207,14 @@ pub fn answer_request(options: RunOptions, progress: &dyn Progress) -> Result<()
         serde_json::from_str(&line).map_err(Error::json).context("standard input holds no request")?;
     std::thread::Builder::new().name("parent".into()).spawn(move || end_with_parent(input))?;
     limit_memory(&request);
-    let Answer { row, inputs_sha256 } = Runner::new(options).run(&request, progress)?;
-    let run = RunRecord { seconds: begun.elapsed().as_secs_f64(), ..RunRecord::now() };
-    let reply = Reply::Ended(Box::new(Entry { row, run, inputs_sha256 }));
+    let reply = match Runner::new(options).run(&request, progress) {
+        Ok(Answer { row, inputs_sha256 }) => {
+            let run = RunRecord { seconds: begun.elapsed().as_secs_f64(), ..RunRecord::now() };
+            Reply::Ended(Box::new(Entry { row, run, inputs_sha256 }))
+        }
+        Err(error @ Error::Busy { .. }) => Reply::Busy(error.to_string()),
+        Err(error) => return Err(error),
+    };
     let mut reply = serde_json::to_vec(&reply).map_err(Error::json)?;
     reply.push(b'\n');
     std::io::stdout().write_all(&reply).context("nobody hears the answer")
