@@ -1,4 +1,4 @@
-//! The frame of the report: one HTML page with everything inside it.
+//! The frame of a report: one HTML page with everything inside it.
 
 use std::fmt::Write as _;
 
@@ -19,10 +19,12 @@ pub struct Page {
     body: String,
     headings: Vec<String>,
     viewers: usize,
+    style: &'static str,
+    script: &'static str,
 }
 
-/// A picture that a browser knows by its first bytes.
-fn source(picture: &[u8]) -> String {
+/// The address of a PNG or JPEG picture that is written into the page.
+pub fn source(picture: &[u8]) -> String {
     let kind = if picture.starts_with(&[0xff, 0xd8]) { "jpeg" } else { "png" };
     format!("data:image/{kind};base64,{}", STANDARD.encode(picture))
 }
@@ -30,7 +32,17 @@ fn source(picture: &[u8]) -> String {
 impl Page {
     /// An empty page.
     pub fn new(title: &str) -> Self {
-        Self { title: title.to_owned(), body: String::new(), headings: Vec::new(), viewers: 0 }
+        Self { title: title.to_owned(), body: String::new(), headings: Vec::new(), viewers: 0, style: "", script: "" }
+    }
+
+    /// Gives the page rules of style and a script beside those that every page has.
+    pub fn extend(&mut self, style: &'static str, script: &'static str) {
+        (self.style, self.script) = (style, script);
+    }
+
+    /// Markup that is taken as it is: whoever wrote it has escaped the text in it.
+    pub fn html(&mut self, html: &str) {
+        self.body.push_str(html);
     }
 
     /// Starts a section.
@@ -143,8 +155,14 @@ impl Page {
         self.body.push_str("</div>");
     }
 
-    /// A table; the first row is the head.
+    /// A table of plain text below its head.
     pub fn table(&mut self, head: &[&str], rows: &[Vec<String>]) {
+        let escaped = |row: &Vec<String>| row.iter().map(|cell| escape(cell)).collect();
+        self.table_of_html(head, &rows.iter().map(escaped).collect::<Vec<_>>());
+    }
+
+    /// A table of markup, taken as it is, below its head of plain text.
+    pub fn table_of_html(&mut self, head: &[&str], rows: &[Vec<String>]) {
         self.body.push_str("<div class=\"scroll\"><table><thead><tr>");
         for cell in head {
             let _ = write!(self.body, "<th>{}</th>", escape(cell));
@@ -153,7 +171,7 @@ impl Page {
         for row in rows {
             self.body.push_str("<tr>");
             for cell in row {
-                let _ = write!(self.body, "<td>{}</td>", escape(cell));
+                let _ = write!(self.body, "<td>{cell}</td>");
             }
             self.body.push_str("</tr>");
         }
@@ -166,15 +184,18 @@ impl Page {
         for (i, heading) in self.headings.iter().enumerate() {
             let _ = write!(contents, "<a href=\"#s{}\">{}</a>", i + 1, escape(heading));
         }
-        let script = if self.viewers > 0 { format!("<script>{VIEWER}</script>") } else { String::new() };
+        let viewer = if self.viewers > 0 { VIEWER } else { "" };
+        let scripts = [viewer, self.script].into_iter().filter(|s| !s.is_empty());
+        let scripts: String = scripts.map(|s| format!("<script>{s}</script>")).collect();
         format!(
             "<!doctype html><html lang=\"en\"><head><meta charset=\"utf-8\">\
              <meta name=\"viewport\" content=\"width=device-width,initial-scale=1\">\
              <meta http-equiv=\"Content-Security-Policy\" content=\"{POLICY}\"><link rel=\"icon\" href=\"data:,\">\
-             <title>{0}</title><style>{STYLE}</style></head><body><main><h1>{0}</h1>\
-             <nav aria-label=\"Contents\">{contents}</nav>{1}</main>{script}</body></html>\n",
+             <title>{0}</title><style>{STYLE}{2}</style></head><body><main><h1>{0}</h1>\
+             <nav aria-label=\"Contents\">{contents}</nav>{1}</main>{scripts}</body></html>\n",
             escape(&self.title),
-            self.body
+            self.body,
+            self.style
         )
     }
 }

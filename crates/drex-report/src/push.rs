@@ -182,6 +182,7 @@ fn posterior_plot(mass: &MassFile) -> String {
         log_x: true,
         marks: vec![(1e3 * mass.mass_kg, format!("{:.1} g", 1e3 * mass.mass_kg))],
         band: Some((1e3 * mass.ci95_kg[0], 1e3 * mass.ci95_kg[1])),
+        ..Plot::default()
     }
     .to_svg()
 }
@@ -210,6 +211,7 @@ fn profile_plot(result: &Identification) -> String {
         log_x: !is_law,
         marks: result.mass_kg.map(|m| (1e3 * m, format!("{:.1} g", 1e3 * m))).into_iter().collect(),
         band: result.ci95_kg.map(|[lo, hi]| (1e3 * lo, 1e3 * hi)),
+        ..Plot::default()
     }
     .to_svg()
 }

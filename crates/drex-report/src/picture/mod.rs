@@ -2,6 +2,7 @@
 
 pub mod clip;
 pub mod hand;
+pub mod histogram;
 pub mod plot;
 pub mod raster;
 pub mod sheet;

@@ -1,4 +1,4 @@
-//! Line plots as SVG text. Colours follow the page (`currentColor`) so that light and dark both read well.
+//! Line plots and histograms as SVG text. Colours follow the page (`currentColor`) so that light and dark both read well.
 
 use std::fmt::Write as _;
 
@@ -26,6 +26,17 @@ pub struct Series<'a> {
     pub dots: bool,
 }
 
+/// One bar of a histogram, which stands on zero.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Bar {
+    /// Left end.
+    pub from: f64,
+    /// Right end.
+    pub to: f64,
+    /// How many values lie between them.
+    pub count: usize,
+}
+
 /// A plot with axes, ticks, legend and optional marks.
 #[derive(Default)]
 pub struct Plot<'a> {
@@ -37,6 +48,8 @@ pub struct Plot<'a> {
     pub y_label: &'a str,
     /// The data.
     pub series: Vec<Series<'a>>,
+    /// The bars of a histogram; the vertical axis then begins at zero and has whole numbers only.
+    pub bars: Vec<Bar>,
     /// Logarithmic horizontal axis (values must be positive).
     pub log_x: bool,
     /// Vertical lines at these x, each with a label.
@@ -53,8 +66,11 @@ impl Plot<'_> {
             escape(self.title)
         );
         let finite = |v: &f64| v.is_finite();
-        let xs = self.series.iter().flat_map(|s| s.x).copied().filter(finite).map(|x| self.map_x(x)).filter(finite);
-        let ys = self.series.iter().flat_map(|s| s.y).copied().filter(finite);
+        let edges = self.bars.iter().flat_map(|b| [b.from, b.to]);
+        let xs = self.series.iter().flat_map(|s| s.x).copied().chain(edges);
+        let xs = xs.filter(finite).map(|x| self.map_x(x)).filter(finite);
+        let heights = self.bars.iter().flat_map(|b| [0.0, b.count as f64]);
+        let ys = self.series.iter().flat_map(|s| s.y).copied().chain(heights).filter(finite);
         let (Some((x0, x1)), Some((y0, y1))) = (range(xs), range(ys)) else {
             svg.push_str("><text x=\"20\" y=\"40\">no data</text></svg>");
             return svg;
@@ -66,10 +82,21 @@ impl Plot<'_> {
         }
         svg.push('>');
         let pad = 0.06 * (y1 - y0);
-        let (y0, y1) = (y0 - pad, y1 + pad);
+        let (y0, y1) = (if self.bars.is_empty() { y0 - pad } else { y0 }, y1 + pad);
         let px = |x: f64| LEFT + (self.map_x(x) - x0) / (x1 - x0) * (WIDTH - LEFT - RIGHT);
         let py = |y: f64| HEIGHT - BOTTOM - (y - y0) / (y1 - y0) * (HEIGHT - TOP - BOTTOM);
         self.axes(&mut svg, (x0, x1), (y0, y1), &px, &py);
+        for bar in &self.bars {
+            let (left, right, top) = (px(bar.from), px(bar.to), py(bar.count as f64));
+            let _ = write!(
+                svg,
+                "<rect x=\"{:.1}\" y=\"{top:.1}\" width=\"{:.1}\" height=\"{:.1}\" fill=\"{}\" opacity=\"0.85\"/>",
+                left + 0.5,
+                (right - left - 1.0).max(1.0),
+                (HEIGHT - BOTTOM - top).max(0.0),
+                COLORS[0]
+            );
+        }
         if let Some((a, b)) = self.band {
             let (a, b) = (px(a).clamp(LEFT, WIDTH - RIGHT), px(b).clamp(LEFT, WIDTH - RIGHT));
             let _ = write!(
@@ -109,7 +136,8 @@ impl Plot<'_> {
             "<text x=\"{LEFT}\" y=\"16\" font-weight=\"600\" font-size=\"12.5\">{}</text>",
             escape(self.title)
         );
-        for y in linear_ticks(yr.0, yr.1) {
+        let whole = |y: &f64| self.bars.is_empty() || (y - y.round()).abs() < 1e-9;
+        for y in linear_ticks(yr.0, yr.1).into_iter().filter(whole) {
             let v = py(y);
             let _ = write!(
                 svg,
@@ -120,10 +148,16 @@ impl Plot<'_> {
                 tick_label(y, yr.1 - yr.0)
             );
         }
-        let x_ticks = if self.log_x { log_ticks(xr.0, xr.1) } else { linear_ticks(xr.0, xr.1) };
-        for x in x_ticks {
+        let decades = if self.log_x { log_ticks(xr.0, xr.1) } else { Vec::new() };
+        // A short piece of a logarithmic axis is nearly a linear one.
+        let (lo, hi) = if self.log_x { (10f64.powf(xr.0), 10f64.powf(xr.1)) } else { xr };
+        let ticks = if decades.len() < 3 {
+            linear_ticks(lo, hi).into_iter().map(|x| (x, tick_label(x, hi - lo))).collect()
+        } else {
+            decades.into_iter().map(|x| (x, x.to_string())).collect::<Vec<_>>()
+        };
+        for (x, text) in ticks {
             let u = px(x);
-            let text = if self.log_x { format!("{x}") } else { tick_label(x, xr.1 - xr.0) };
             let _ = write!(
                 svg,
                 "<line x1=\"{u:.1}\" x2=\"{u:.1}\" y1=\"{bottom}\" y2=\"{:.1}\" stroke=\"currentColor\" opacity=\"0.5\"/><text x=\"{u:.1}\" y=\"{:.1}\" text-anchor=\"middle\" opacity=\"0.8\">{text}</text>",
@@ -189,12 +223,17 @@ fn range(values: impl Iterator<Item = f64>) -> Option<(f64, f64)> {
     Some((lo - widen, hi + widen))
 }
 
+/// The smallest of 1, 2, 5 times a power of ten that is at least `least`.
+pub(super) fn step_of(least: f64) -> f64 {
+    let power = 10f64.powf(least.log10().floor());
+    [1.0, 2.0, 5.0, 10.0].into_iter().map(|k| k * power).find(|&s| s >= least).unwrap_or(10.0 * power)
+}
+
 fn linear_ticks(lo: f64, hi: f64) -> Vec<f64> {
-    let raw = (hi - lo) / 5.0;
-    let power = 10f64.powf(raw.log10().floor());
-    let step = [1.0, 2.0, 5.0, 10.0].into_iter().map(|k| k * power).find(|&s| s >= raw).unwrap_or(10.0 * power);
-    let first = (lo / step).ceil() as i64;
-    let last = (hi / step).floor() as i64;
+    let step = step_of((hi - lo) / 5.0);
+    // A tick at an end may be off it by rounding.
+    let first = (lo / step - 1e-9).ceil() as i64;
+    let last = (hi / step + 1e-9).floor() as i64;
     (first..=last).map(|i| i as f64 * step).collect()
 }
 
@@ -247,6 +286,28 @@ mod tests {
         let path = svg.split("<path d=\"").nth(1).and_then(|s| s.split('"').next()).unwrap();
         assert_eq!(path.matches('M').count(), 2, "{path}");
         assert!(!svg.contains("NaN"));
+    }
+
+    #[test]
+    fn bars_stand_on_zero_and_are_counted_in_whole_numbers() {
+        let bars = vec![Bar { from: 0.2, to: 0.21, count: 1 }, Bar { from: 0.21, to: 0.22, count: 3 }];
+        let svg = Plot { title: "bars", bars, log_x: true, ..Plot::default() }.to_svg();
+        let heights: Vec<f64> = attributes(&svg, "height");
+        assert!((heights[1] - 3.0 * heights[0]).abs() < 0.3, "{heights:?}");
+        let bottom = attributes(&svg, "y")[0] + heights[0];
+        assert!((bottom - (HEIGHT - BOTTOM)).abs() < 0.11, "{bottom}");
+        for tick in ["0", "1", "2", "3", "0.2", "0.21", "0.22"] {
+            assert!(svg.contains(&format!(">{tick}</text>")), "{tick}");
+        }
+        assert!(!svg.contains(">0.5</text>") && !svg.contains(">1.5</text>"));
+    }
+
+    /// The numbers of this attribute of all rectangles.
+    fn attributes(svg: &str, name: &str) -> Vec<f64> {
+        let rectangles = svg.split("<rect ").skip(1);
+        rectangles
+            .map(|r| r.split(&format!("{name}=\"")).nth(1).unwrap().split('"').next().unwrap().parse().unwrap())
+            .collect()
     }
 
     #[test]

@@ -93,7 +93,7 @@ pub fn clearest_azimuth(parts: &[Part<'_>], subject: usize, view: &View) -> f64 
     best.1
 }
 
-pub(super) fn render(parts: &[Part<'_>], view: &View) -> RgbImage {
+pub(crate) fn render(parts: &[Part<'_>], view: &View) -> RgbImage {
     Scene::new(parts, view).render()
 }
 

@@ -39,6 +39,11 @@ struct RunRow<'a> {
 }
 
 impl Table {
+    /// A table of these rows, and what some of them took by their names.
+    pub fn new(rows: Vec<Row>, runs: BTreeMap<String, (usize, RunRecord)>) -> Self {
+        Self { rows, runs }
+    }
+
     /// The last entry of each item in any journal, or a pending row where there is none.
     pub(super) fn of(items: &[Item], seed: Option<u64>, entries: &[Entry]) -> Self {
         let last = last(entries);
