@@ -55,6 +55,12 @@ pub fn section(page: &mut Page, batch: &Batch, items: &[Measured<'_>], outliers:
             items_text(items.len())
         ));
     }
+    if items.iter().any(|i| i.mass_interval_kg.is_some() || i.trials.is_some()) {
+        page.paragraph(
+            "The strip below a mass shows its 95 % interval on a logarithmic axis that all items share, the one below trials the interval \
+             of the success rate from 0 to 100 %.",
+        );
+    }
     let masses = Axis::of(items);
     let cards = order.iter().map(|&i| {
         let picture = match item_of(i).filter(|_| pictured.contains(&i)) {
@@ -68,6 +74,11 @@ pub fn section(page: &mut Page, batch: &Batch, items: &[Measured<'_>], outliers:
     let cards: String = cards.collect();
     page.extend(STYLE, SCRIPT);
     page.html(&format!("{}<ol class=\"cards\" id=\"cards\">{cards}</ol>", tools()));
+}
+
+/// A name as markup; a long one is broken after `/` and `_` rather than elsewhere.
+pub fn name_html(name: &str) -> String {
+    escape(name).replace('/', "/<wbr>").replace('_', "_<wbr>")
 }
 
 /// Buttons and box of the script, which shows them.
@@ -114,12 +125,12 @@ fn card(
     let _ = match picture {
         Some(picture) => write!(
             html,
-            "<img alt=\"\" width=\"{WIDTH}\" height=\"{HEIGHT}\" decoding=\"async\" src=\"{}\">",
+            "<figure><img alt=\"\" width=\"{WIDTH}\" height=\"{HEIGHT}\" decoding=\"async\" src=\"{}\"></figure>",
             source(picture)
         ),
-        None => write!(html, "<div class=\"none\">no picture</div>"),
+        None => write!(html, "<figure>no picture</figure>"),
     };
-    let name = escape(&row.name);
+    let name = name_html(&row.name);
     let _ = match link {
         Some(link) => write!(html, "<div><a class=\"name\" href=\"{}\">{name}</a>", escape(link)),
         None => write!(html, "<div><span class=\"name\">{name}</span>"),
@@ -156,8 +167,10 @@ fn values(item: &Measured<'_>, masses: &Axis) -> String {
         value("mass", grams(kg), remark, range);
     }
     if !row.verdict.is_empty() {
-        let source = if item.mass_interval_kg.is_some() { row.mass_source.as_str() } else { "" };
-        value("verdict", row.verdict.replace('_', " "), source.to_owned(), String::new());
+        // Where the mass comes from, unless that has been said.
+        let is_said = row.mass_source == row.verdict || item.mass_interval_kg.is_none();
+        let source = if is_said { String::new() } else { row.mass_source.clone() };
+        value("verdict", row.verdict.replace('_', " "), source, String::new());
     }
     if let Some(newtons) = item.grip_force_n {
         let per_weight = item.grip_per_weight.map_or_else(String::new, |g| format!("{} × weight", digits(g)));

@@ -25,7 +25,7 @@ const PAGE: &str = "report.html";
 /// With more failures than these, those with the same reason are told together.
 const MOST_ALONE: usize = 20;
 /// Values whose largest is more than this many times the smallest are drawn on a logarithmic axis.
-const WIDE: f64 = 30.0;
+const WIDE: f64 = 8.0;
 
 /// Writes `report.html` into the folder of the batch's results, and names it: figures, failures with their reasons, items that stand out,
 /// histograms, and a card for each item with a picture of its mesh and a link to the twin's own report where there is one. `table` is what
@@ -66,9 +66,16 @@ fn figures(page: &mut Page, table: &Table, items: &[Measured<'_>]) {
     let core_seconds: Vec<f64> = runs().filter_map(|run| positive(run.core_seconds)).collect();
     let hosts: BTreeSet<&str> = runs().map(|run| run.host.as_str()).collect();
     let wall: f64 = runs().filter_map(|run| positive(Some(run.seconds))).sum();
-    let machines = format!("{} machine{}", hosts.len(), if hosts.len() == 1 { "" } else { "s" });
-    let last =
-        format!("last runs of {}: {} one after the other, on {machines}", items_text(table.runs.len()), duration(wall));
+    let last = match table.runs.len() {
+        0 => "nothing has run".to_owned(),
+        n => format!(
+            "last runs of {}: {} one after the other, on {} machine{}",
+            items_text(n),
+            duration(wall),
+            hosts.len(),
+            if hosts.len() == 1 { "" } else { "s" }
+        ),
+    };
     let total: f64 = core_seconds.iter().sum();
     let total = if core_seconds.is_empty() { "-".to_owned() } else { digits(total) };
     all.push((total, "core-seconds".to_owned(), last));
@@ -101,7 +108,7 @@ fn figures(page: &mut Page, table: &Table, items: &[Measured<'_>]) {
 
 /// A link to the card of an item.
 fn card_link(index: usize, name: &str) -> String {
-    format!("<a href=\"#i{index}\">{}</a>", escape(name))
+    format!("<a href=\"#i{index}\">{}</a>", gallery::name_html(name))
 }
 
 /// What failed, and why.
@@ -114,7 +121,7 @@ fn failures(page: &mut Page, items: &[Measured<'_>]) {
         return;
     }
     page.paragraph(&format!(
-        "{} of {} failed. They are tried again with --retry-failed.",
+        "{} of {} failed. drex batch --retry-failed tries them again.",
         failed.len(),
         items_text(items.len())
     ));
@@ -134,7 +141,7 @@ fn failures(page: &mut Page, items: &[Measured<'_>]) {
     page.table_of_html(&["items", "why they failed", "which"], &reasons.into_iter().map(row).collect::<Vec<_>>());
 }
 
-/// A reason with NAME in place of the item's name at the head of its paths.
+/// A reason with NAME in place of the item's name, so that the same reason reads the same for all items.
 fn without_name(reason: &str, name: &str) -> String {
     let mut out = String::new();
     let mut rest = reason;
@@ -187,10 +194,10 @@ fn standing_out(page: &mut Page, items: &[Measured<'_>], outliers: &Outliers) {
     if !outliers.compared.is_empty() {
         page.paragraph(&format!(
             "Compared are items of the same task. An item stands out in the width of its mass interval, its grip force per weight or (only \
-             upwards) its seconds if the logarithm lies more than 5 + 30/n spreads from the median of its n items: {:.1} of {FEWEST} items, \
-             {:.1} of {}. A spread is 1.4826 times the median distance from the median, and at least {:.0} %. It stands out in its success \
-             rate if the 95 % interval (Wilson) lies below the rate of all, by more than chance makes of n like items in 1 of 100 batches \
-             (Fisher's exact test).",
+             upwards) its seconds if the logarithm lies more than 5 + 30/n spreads from the median of n items, which is {:.1} spreads for \
+             {FEWEST} items and {:.1} for {}; a spread is 1.4826 times the median distance from the median, and at least {:.0} %. It stands \
+             out in its success rate if the 95 % interval (Wilson) lies below the rate of all, and lies so low by chance in fewer than 1 of \
+             100 batches of n like items (Fisher's exact test).",
             outliers::threshold(FEWEST),
             outliers::threshold(items.len().max(FEWEST)),
             items.len().max(FEWEST),

@@ -20,7 +20,7 @@ use crate::picture::surface::Surface;
 pub const WIDTH: u32 = 160;
 /// Height of a picture, pixels.
 pub const HEIGHT: u32 = 128;
-/// Drawn pixels for each of the picture, per axis: photos on meshes are finer than it.
+/// Drawn pixels for each of the picture, per axis, where there is a photo on the mesh: it is finer than the picture.
 const FINER: u32 = 2;
 /// Quality of the JPEG, of 100.
 const QUALITY: u8 = 82;
@@ -69,9 +69,10 @@ fn drawn(source: &Source) -> Option<Vec<u8>> {
     let parts: Vec<_> = surfaces.iter().map(|s| s.part(world_from_mesh, OBJECT_COLOR)).collect();
     let heights = surfaces.iter().flat_map(|s| &s.mesh.vertices).map(|v| (world_from_mesh * v).z);
     let table = heights.fold(f64::INFINITY, f64::min);
+    let finer = if surfaces.iter().any(|s| s.texture.is_some()) { FINER } else { 1 };
     let view = View {
-        width: FINER * WIDTH,
-        height: FINER * HEIGHT,
+        width: finer * WIDTH,
+        height: finer * HEIGHT,
         azimuth: -0.7,
         elevation: 0.35,
         table_height_m: table.is_finite().then_some(table),

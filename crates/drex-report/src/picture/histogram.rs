@@ -13,7 +13,7 @@ pub fn bins(values: &[f64]) -> Vec<Bar> {
     let (lo, hi) = values.iter().fold((f64::INFINITY, f64::NEG_INFINITY), |(lo, hi), v| (lo.min(*v), hi.max(*v)));
     let size = lo.abs().max(hi.abs());
     let alone = hi - lo <= EQUAL * size;
-    let wanted = (1.5 * (values.len() as f64).sqrt()).clamp(8.0, 30.0);
+    let wanted = (2.0 * (values.len() as f64).sqrt()).clamp(12.0, 40.0);
     let step = step_of(if !alone {
         (hi - lo) / wanted
     } else if size > 0.0 {

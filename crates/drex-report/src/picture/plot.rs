@@ -81,8 +81,9 @@ impl Plot<'_> {
             let _ = write!(svg, " data-range=\"{x0:.6} {x1:.6} {LEFT} {right} {TOP} {bottom}\"");
         }
         svg.push('>');
-        let pad = 0.06 * (y1 - y0);
-        let (y0, y1) = (if self.bars.is_empty() { y0 - pad } else { y0 }, y1 + pad);
+        // Bars begin at zero, and leave room for the labels of marks above them.
+        let (below, above) = if self.bars.is_empty() { (0.06, 0.06) } else { (0.0, 0.12) };
+        let (y0, y1) = (y0 - below * (y1 - y0), y1 + above * (y1 - y0));
         let px = |x: f64| LEFT + (self.map_x(x) - x0) / (x1 - x0) * (WIDTH - LEFT - RIGHT);
         let py = |y: f64| HEIGHT - BOTTOM - (y - y0) / (y1 - y0) * (HEIGHT - TOP - BOTTOM);
         self.axes(&mut svg, (x0, x1), (y0, y1), &px, &py);
@@ -108,11 +109,12 @@ impl Plot<'_> {
         }
         for (x, label) in self.marks.iter().filter(|(x, _)| (x0..=x1).contains(&self.map_x(*x))) {
             let x = px(*x);
+            // Near the right end there is room to the left only.
+            let (at, anchor) = if x > WIDTH - 100.0 { (x - 4.0, " text-anchor=\"end\"") } else { (x + 4.0, "") };
             let _ = write!(
                 svg,
-                "<line x1=\"{x:.1}\" x2=\"{x:.1}\" y1=\"{TOP}\" y2=\"{:.1}\" stroke=\"currentColor\" stroke-dasharray=\"4 3\" opacity=\"0.7\"/><text x=\"{:.1}\" y=\"{:.1}\" opacity=\"0.85\">{}</text>",
+                "<line x1=\"{x:.1}\" x2=\"{x:.1}\" y1=\"{TOP}\" y2=\"{:.1}\" stroke=\"currentColor\" stroke-dasharray=\"4 3\" opacity=\"0.7\"/><text x=\"{at:.1}\" y=\"{:.1}\"{anchor} opacity=\"0.85\">{}</text>",
                 HEIGHT - BOTTOM,
-                x + 4.0,
                 TOP + 11.0,
                 escape(label)
             );
