@@ -78,8 +78,8 @@ pub struct Outliers {
     pub too_few: Vec<(String, Quantity, usize)>,
 }
 
-/// How many spreads of `n` values away from their median one stands out: in 99 of 100 batches of `n` items whose logarithms are normal
-/// none does. The line lies over the 99 % points of 60,000 simulated batches each of 8 to 3,000 items (8.1 of 8, 4.6 of 40, 4.5 of 1,000).
+/// How many spreads one of `n` values must lie away from their median to stand out. Where logarithms are normal, none does in 99 of 100
+/// batches: the line lies above the 99 % points of simulated batches of 8 to 3,000 items (8.1 spreads of 8, 4.6 of 40, 4.5 of 1,000).
 pub fn threshold(n: usize) -> f64 {
     5.0 + 30.0 / n as f64
 }
