@@ -47,6 +47,8 @@ pub struct BatchPlace {
 pub enum BatchCommand {
     /// Join what shards have done into one table.
     Merge(BatchPlace),
+    /// Write a page about all items: failures, outliers, histograms, a gallery.
+    Report(BatchPlace),
     /// Do the one item that standard input names.
     #[command(hide = true)]
     Item,

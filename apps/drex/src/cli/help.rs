@@ -18,7 +18,7 @@ const GROUPS: [(&str, &[&str]); 6] = [
 ];
 
 /// Lines behind the help of a subcommand; words of a subcommand's name are separated by blanks.
-const EXAMPLES: [(&str, &str); 31] = [
+const EXAMPLES: [(&str, &str); 32] = [
     (
         "sfm",
         "drex sfm photos --out cameras
@@ -108,6 +108,7 @@ const EXAMPLES: [(&str, &str); 31] = [
   drex batch objects.toml --shard 0/4                 the first of four parts, on a machine of its own",
     ),
     ("batch merge", "drex batch merge objects.toml"),
+    ("batch report", "drex batch report twins"),
     ("import d-rex", "drex import d-rex recordings --out twins --object cookie"),
     ("import allegro-run", "drex import allegro-run recordings/runs/ketchup1 --out push/ketchup1"),
     ("import mujoco-push", "drex import mujoco-push push_mujoco/brick/lift_force --poses clean --out push/lift"),

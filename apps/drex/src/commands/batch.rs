@@ -32,6 +32,12 @@ pub fn run(args: &BatchArgs, common: &Common, ui: &Ui) -> Result<ExitCode> {
             let results = table.write(batch.out())?;
             answer(&table, &results, ui)
         }
+        Some(BatchCommand::Report(place)) => {
+            let batch = open(place)?;
+            let page = drex_report::write_batch(&batch, &batch.table()?)?;
+            ui.answer(&json!({ "report": page }), page.display().to_string())?;
+            Ok(ExitCode::SUCCESS)
+        }
         None => work(args, common, ui),
     }
 }

@@ -196,7 +196,7 @@ fn started(folder: &Path, arguments: &[&str]) -> Child {
 #[test]
 fn workers_do_not_outlive_a_batch_that_is_killed_and_the_next_run_ends_with_the_same_bytes() {
     let (dir, folder) = twins(4);
-    let arguments = ["--stages", "evaluate", "--jobs", "2", "--threads", "2"];
+    let arguments = ["--stages", "asset", "--jobs", "2", "--threads", "2"];
     let undisturbed = dir.path().join("undisturbed");
     copy_tree(&folder, &undisturbed);
     for number in 0..4 {
@@ -307,8 +307,8 @@ fn grasps_are_found_for_meshes_masses_and_hands() {
     let again = batch(&list, &[]);
     assert!(again.stderr.contains("2 are up to date"), "{}", again.stderr);
     fs::remove_file(&found).unwrap();
-    fs::write(&list, text.replace("\"nobody\"", "\"allegro_right\"")).unwrap();
-    let more = batch(&list, &["--jobs", "2"]);
+    fs::write(&list, text.replace(", \"nobody\"", "").replace(", 50.0", "")).unwrap();
+    let more = batch(&list, &[]);
     assert_eq!(more.code, 0, "{}", more.stderr);
-    assert!(more.stderr.contains("1 are up to date") && found.is_file(), "{}", more.stderr);
+    assert!(!more.stderr.contains("up to date") && found.is_file(), "{}", more.stderr);
 }
