@@ -291,7 +291,8 @@ fn grasps_are_found_for_meshes_masses_and_hands() {
     fs::write(&list, text).unwrap();
     let run = batch(&list, &["--json", "--jobs", "2"]);
     assert_eq!(run.code, 1, "{}", run.stderr);
-    let table = fs::read_to_string(dir.path().join("objects.batch/results.csv")).unwrap();
+    let results_of = |list: &Path| fs::read_to_string(list.with_extension("batch").join("results.csv")).unwrap();
+    let table = results_of(&list);
     let rows = columns(&table, &["name", "status", "mass_kg", "verdict", "hand", "trials"]);
     assert_eq!(rows[0], ["meshes/cube-leap_right-0.1kg", "done", "0.1", "found", "leap_right", "2"]);
     // Nothing holds what weighs 50 kg: that is an answer.
@@ -306,6 +307,13 @@ fn grasps_are_found_for_meshes_masses_and_hands() {
     // Up to date, until the file or a setting changes.
     let again = batch(&list, &[]);
     assert!(again.stderr.contains("2 are up to date"), "{}", again.stderr);
+    // What a search found says from what, so that whoever does it again finds that.
+    let when = |file: &Path| fs::metadata(file).unwrap().modified().unwrap();
+    let before = when(&found);
+    fs::remove_file(dir.path().join("objects.batch/journal.jsonl")).unwrap();
+    let anew = batch(&list, &["--jobs", "2"]);
+    assert!(anew.code == 1 && !anew.stderr.contains("up to date"), "{}", anew.stderr);
+    assert_eq!((when(&found), results_of(&list)), (before, table));
     fs::remove_file(&found).unwrap();
     fs::write(&list, text.replace(", \"nobody\"", "").replace(", 50.0", "")).unwrap();
     let more = batch(&list, &[]);

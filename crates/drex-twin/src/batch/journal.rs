@@ -9,6 +9,7 @@ use std::sync::{Mutex, PoisonError};
 use serde::{Deserialize, Serialize};
 
 use super::row::{Row, RunRecord};
+use crate::alone::Alone;
 use crate::error::Context;
 use crate::{Error, Result};
 
@@ -22,19 +23,23 @@ pub struct Entry {
     pub row: Row,
     /// What it took.
     pub run: RunRecord,
-    /// Digest of what the row depends on, where no lock file keeps it.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub inputs_sha256: Option<String>,
 }
 
-/// A journal that is being written.
-pub(super) struct Journal(Mutex<File>);
+/// A journal that is being written, by nobody else.
+#[derive(Debug)]
+pub(super) struct Journal {
+    file: Mutex<File>,
+    _alone: Alone,
+}
 
 impl Journal {
-    /// Opens the journal at `path`, or begins one. A line that a run did not end is cut off.
-    pub(super) fn open(path: &Path) -> Result<Self> {
+    /// Opens the journal of `folder`, or begins both. A line that a run did not end is cut off.
+    pub(super) fn open(folder: &Path) -> Result<Self> {
+        std::fs::create_dir_all(folder).with_context(|| format!("cannot make {}", folder.display()))?;
+        let path = folder.join(JOURNAL);
         let doing = || format!("cannot write {}", path.display());
-        let mut file = OpenOptions::new().read(true).append(true).create(true).open(path).with_context(doing)?;
+        let mut file = OpenOptions::new().read(true).append(true).create(true).open(&path).with_context(doing)?;
+        let alone = Alone::take(&path, folder)?;
         let mut bytes = Vec::new();
         file.read_to_end(&mut bytes).with_context(doing)?;
         let whole = bytes.iter().rposition(|b| *b == b'\n').map_or(0, |last| last + 1);
@@ -42,15 +47,18 @@ impl Journal {
             file.set_len(whole as u64).with_context(doing)?;
             file.seek(SeekFrom::End(0)).with_context(doing)?;
         }
-        Ok(Self(Mutex::new(file)))
+        Ok(Self { file: Mutex::new(file), _alone: alone })
     }
 
-    /// Adds a line, which is on the disk when this returns.
-    pub(super) fn append(&self, entry: &Entry) -> Result<()> {
-        let mut line = serde_json::to_vec(entry).map_err(Error::json)?;
-        line.push(b'\n');
-        let mut file = self.0.lock().unwrap_or_else(PoisonError::into_inner);
-        file.write_all(&line).and_then(|()| file.sync_data()).context("cannot write the journal of the batch")
+    /// Adds a line for each entry; they are on the disk when this returns.
+    pub(super) fn append(&self, entries: &[Entry]) -> Result<()> {
+        let mut lines = Vec::new();
+        for entry in entries {
+            serde_json::to_writer(&mut lines, entry).map_err(Error::json)?;
+            lines.push(b'\n');
+        }
+        let mut file = self.file.lock().unwrap_or_else(PoisonError::into_inner);
+        file.write_all(&lines).and_then(|()| file.sync_data()).context("cannot write the journal of the batch")
     }
 }
 

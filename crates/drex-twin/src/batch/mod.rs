@@ -7,7 +7,7 @@
 //!
 //! [`Batch::open`] lists the items of a folder of twins or of a list file, [`Batch::run`] does those that are not done, each in a process of
 //! its own, and [`Batch::table`] joins what shards have done. Whoever starts items in another way (a cluster's workers) takes
-//! [`Batch::requests`] and gives each to a [`Runner`].
+//! [`Batch::requests`], gives each to a [`Runner`] and what that answers to [`Batch::record`].
 
 mod journal;
 mod list;
@@ -16,7 +16,6 @@ mod runner;
 mod table;
 mod worker;
 
-use std::fs::File;
 use std::path::{Path, PathBuf};
 
 use rayon::prelude::*;
@@ -25,11 +24,9 @@ pub use self::journal::Entry;
 use self::journal::{JOURNAL, Journal};
 pub use self::list::{FindTask, Item, Shard, Task};
 pub use self::row::{Row, RunRecord, Status};
-pub use self::runner::{Answer, Request, Runner};
+pub use self::runner::{Request, Runner};
 pub use self::table::{RESULTS, RUNS, Table};
 pub use self::worker::{Plan, Program, Watch, answer_request};
-use crate::alone::Alone;
-use crate::error::Context;
 use crate::{Result, RunOptions};
 
 /// Folder of a batch's results in a folder of twins.
@@ -147,23 +144,15 @@ impl Batch {
     pub fn run(&self, options: &BatchOptions, program: Program<'_>, watch: &dyn Watch) -> Result<Summary> {
         options.stages.as_deref().map_or(Ok(Vec::new()), runner::stages)?;
         let folder = self.folder(options);
-        std::fs::create_dir_all(&folder).with_context(|| format!("cannot make {}", folder.display()))?;
-        let journal = folder.join(JOURNAL);
-        File::options()
-            .append(true)
-            .create(true)
-            .open(&journal)
-            .with_context(|| format!("cannot write {}", journal.display()))?;
-        let _alone = Alone::take(&journal, &folder)?;
-        let journal = Journal::open(&journal)?;
+        let journal = Journal::open(&folder)?;
         let entries = self.entries(options.shard)?;
         let known = table::last(&entries);
         let (mut todo, mut plan) = (Vec::new(), Plan { todo: 0, current: 0, failed_before: 0 });
         let requests = self.requests(options);
         // One that cannot be read any more says so when it is done again.
         let is_current = |request: &Request| match known.get(request.item.name.as_str()) {
-            Some((_, Entry { row, inputs_sha256, .. })) if row.status == Status::Done => {
-                request.is_current(inputs_sha256.as_deref(), &options.run).unwrap_or_default()
+            Some((_, entry)) if entry.row.status == Status::Done => {
+                request.is_current(&options.run).unwrap_or_default()
             }
             _ => false,
         };
@@ -185,6 +174,17 @@ impl Batch {
         let table = Table::of(&items, options.seed, &self.entries(options.shard)?);
         let results = table.write(&folder)?;
         Ok(Summary { table, results, plan, busy })
+    }
+
+    /// Notes what became of items that were done elsewhere, as [`Batch::run`] does, and writes the tables of all items. Names that of the results.
+    ///
+    /// # Errors
+    /// If the folder of the results cannot be written, or a journal not be read; [`Error::Busy`](crate::Error::Busy) if another run works with
+    /// that folder.
+    pub fn record(&self, entries: &[Entry]) -> Result<PathBuf> {
+        let journal = Journal::open(&self.out)?;
+        journal.append(entries)?;
+        self.table()?.write(&self.out)
     }
 
     /// What is known of all items, whoever did them.

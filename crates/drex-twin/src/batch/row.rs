@@ -1,10 +1,14 @@
 //! A row of the table of results, and what it took to get it.
 
+use std::time::{Instant, SystemTime, UNIX_EPOCH};
+
 use drex_core::stats::median;
-use drex_trial::TriedGrasp;
+use drex_trial::wilson;
 use serde::{Deserialize, Serialize};
 
 use super::list::{FindTask, Item};
+use super::runner::SearchFile;
+use crate::alone::host;
 use crate::lock::made_by;
 use crate::records::{EVALUATION, Evaluation, TRIAL, TrialFile, read_json};
 use crate::{Result, Stage, Twin};
@@ -129,22 +133,17 @@ impl Row {
     }
 
     /// What became of a search for a grasp.
-    pub(super) fn of_search(
-        item: &Item,
-        task: &FindTask,
-        friction: f64,
-        seed: u64,
-        found: Option<&TriedGrasp>,
-    ) -> Self {
+    pub(super) fn of_search(item: &Item, task: &FindTask, seed: u64, search: &SearchFile) -> Self {
         let mut row = Self { status: Status::Done, ..Self::pending(item, seed) };
         row.mass_kg = Some(task.mass_kg);
         row.mass_source = "given".to_owned();
-        row.verdict = if found.is_some() { "found" } else { "none" }.to_owned();
+        row.verdict = if search.grasp.is_some() { "found" } else { "none" }.to_owned();
         row.hand = task.hand.clone();
-        row.friction = Some(friction);
-        if let Some(found) = found {
-            row.grip_force_n = Some(found.grip_force_n);
-            row.tried(found.held, found.verdicts.len(), [found.interval.low, found.interval.high]);
+        row.friction = Some(search.friction);
+        row.grip_force_n = search.grip_force_n;
+        if let (Some(held), Some(verdicts)) = (search.held, &search.verdicts) {
+            let interval = wilson(held, verdicts.len());
+            row.tried(held, verdicts.len(), [interval.low, interval.high]);
         }
         row
     }
@@ -178,6 +177,19 @@ pub struct RunRecord {
     pub threads: usize,
     /// Name of the machine.
     pub host: String,
+}
+
+impl RunRecord {
+    /// Of what was begun then and ends now, on this machine.
+    pub(super) fn ending_now(begun: Instant) -> Self {
+        let since = SystemTime::now().duration_since(UNIX_EPOCH);
+        Self {
+            ended_unix_s: since.map_or(0.0, |s| s.as_secs_f64()),
+            seconds: begun.elapsed().as_secs_f64(),
+            host: host(),
+            ..Self::default()
+        }
+    }
 }
 
 /// The word that files use for a value of an enum without fields.

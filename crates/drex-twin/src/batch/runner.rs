@@ -2,19 +2,23 @@
 
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
+use std::time::Instant;
 
 use drex_core::{ASSUMED_FRICTION, Object, fsutil};
 use drex_grasp::Grasp;
 use drex_mesh::{AssetOptions, build_asset};
 use drex_robot::Robot;
-use drex_trial::{TriedGrasp, Verdict, find_grasp_watched};
+use drex_splat::usage;
+use drex_trial::{Verdict, find_grasp_watched};
 use serde::{Deserialize, Serialize};
 
+use super::journal::Entry;
 use super::list::{FindTask, Item, Task};
-use super::row::Row;
+use super::row::{Row, RunRecord};
 use crate::lock::{Inputs, digest_of};
+use crate::manifest::LengthUnit;
 use crate::progress::flow;
-use crate::records::write_json;
+use crate::records::{read_json, write_json};
 use crate::{Error, Progress, Result, RunOptions, Stage, Twin, with_torque_cap};
 
 /// Version of the layout of a found grasp's file.
@@ -37,35 +41,28 @@ pub struct Request {
     pub max_memory_bytes: Option<u64>,
 }
 
-/// What became of a request.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct Answer {
-    /// What was found, or why nothing was.
-    pub row: Row,
-    /// Digest of what it depends on, where no lock file keeps it.
-    pub inputs_sha256: Option<String>,
-}
-
-/// `grasps/NAME.json` of a batch: a grasp that was found.
-#[derive(Debug, Serialize)]
-struct FoundGrasp<'a> {
+/// `grasps/NAME.json` of a batch: what a search found, and from what.
+#[derive(Debug, Serialize, Deserialize)]
+pub(super) struct SearchFile {
     schema: u32,
-    mesh: &'a str,
+    /// Digest of all that it depends on.
+    inputs_sha256: String,
+    mesh: String,
     mass_kg: f64,
-    friction: f64,
+    pub(super) friction: f64,
     /// Absent if none holds; so is all that follows.
-    grasp: Option<&'a Grasp>,
-    grip_force_n: Option<f64>,
-    held: Option<usize>,
-    verdicts: Option<&'a [Verdict]>,
+    pub(super) grasp: Option<Grasp>,
+    pub(super) grip_force_n: Option<f64>,
+    pub(super) held: Option<usize>,
+    pub(super) verdicts: Option<Vec<Verdict>>,
 }
 
 /// Does items, and keeps the models of hands and the last mesh for the next ones.
 #[derive(Default)]
 pub struct Runner {
     options: RunOptions,
-    hands: HashMap<(String, Option<u64>), Robot>,
-    object: Option<((PathBuf, String), Object)>,
+    hands: HashMap<(PathBuf, String, Option<u64>), Robot>,
+    object: Option<((PathBuf, LengthUnit, String), Object)>,
 }
 
 impl Runner {
@@ -74,36 +71,40 @@ impl Runner {
         Self { options, ..Self::default() }
     }
 
-    /// Does an item; what it has made stays, and doing it again finds that.
+    /// Does an item; what it has made stays, and doing it again finds that. The record tells what the item took, but for the memory, which is
+    /// the most that this process has held for any.
     ///
     /// # Errors
-    /// Only [`Error::Stopped`] if `progress` stopped it, and [`Error::Busy`] if somebody else works on it. Whatever else goes wrong is the
-    /// answer.
-    pub fn run(&mut self, request: &Request, progress: &dyn Progress) -> Result<Answer> {
+    /// Only [`Error::Stopped`] if `progress` stopped it, and [`Error::Busy`] if somebody else works on it. Whatever else goes wrong is a
+    /// failed row.
+    pub fn run(&mut self, request: &Request, progress: &dyn Progress) -> Result<Entry> {
+        let (begun, before) = (Instant::now(), usage::core_seconds());
         let item = &request.item;
         let made = match &item.task {
-            Task::Twin(folder) => twin(item, folder, request, &self.options, progress).map(|row| (row, None)),
-            Task::Find(task) => self.find(item, task, request, progress).map(|(row, digest)| (row, Some(digest))),
+            Task::Twin(folder) => twin(item, folder, request, &self.options, progress),
+            Task::Find(task) => self.find(item, task, request, progress),
         };
-        Ok(match made {
-            Ok((row, inputs_sha256)) => Answer { row, inputs_sha256 },
+        let row = match made {
+            Ok(row) => row,
             Err(error @ (Error::Stopped | Error::Busy { .. })) => return Err(error),
-            Err(error) => {
-                let message = request.without_base(&error.with_causes());
-                Answer { row: Row::failed(item, item.seed(request.seed), message), inputs_sha256: None }
-            }
-        })
+            Err(error) => request.failed_row(&error.with_causes()),
+        };
+        let run = RunRecord {
+            core_seconds: usage::core_seconds().zip(before).map(|(now, before)| now - before),
+            peak_memory_bytes: usage::peak_memory_bytes(),
+            threads: rayon::current_num_threads(),
+            ..RunRecord::ending_now(begun)
+        };
+        Ok(Entry { row, run })
     }
 
-    fn find(
-        &mut self,
-        item: &Item,
-        task: &FindTask,
-        request: &Request,
-        progress: &dyn Progress,
-    ) -> Result<(Row, String)> {
-        let digest = search_inputs(task, request.seed)?;
-        let (friction, seed) = (task.friction.unwrap_or(ASSUMED_FRICTION), item.seed(request.seed));
+    fn find(&mut self, item: &Item, task: &FindTask, request: &Request, progress: &dyn Progress) -> Result<Row> {
+        let (path, inputs_sha256) = (request.search_path()?, request.search_inputs(task)?);
+        let seed = item.seed(request.seed);
+        if let Some(known) = current_search(&path, &inputs_sha256) {
+            return Ok(Row::of_search(item, task, seed, &known));
+        }
+        let friction = task.friction.unwrap_or(ASSUMED_FRICTION);
         let hand = self.hand(task, &request.base)?;
         let object = self.object(task)?.with_mass(task.mass_kg);
         let object = Object { friction, ..object };
@@ -114,12 +115,24 @@ impl Runner {
             return Err(Error::Stopped);
         }
         let found = found?;
-        write_found(request, task, friction, found.as_ref())?;
-        Ok((Row::of_search(item, task, friction, seed, found.as_ref()), digest))
+        let mesh = fsutil::relative_path(&task.mesh, &request.base);
+        let file = SearchFile {
+            schema: SCHEMA,
+            inputs_sha256,
+            mesh: mesh.to_string_lossy().into_owned(),
+            mass_kg: task.mass_kg,
+            friction,
+            grip_force_n: found.as_ref().map(|f| f.grip_force_n),
+            held: found.as_ref().map(|f| f.held),
+            verdicts: found.as_ref().map(|f| f.verdicts.clone()),
+            grasp: found.map(|f| f.grasp),
+        };
+        write_json(&path, &file)?;
+        Ok(Row::of_search(item, task, seed, &file))
     }
 
     fn hand(&mut self, task: &FindTask, base: &Path) -> Result<Robot> {
-        let key = (task.hand.clone(), task.torque_cap_nm.map(f64::to_bits));
+        let key = (base.to_path_buf(), task.hand.clone(), task.torque_cap_nm.map(f64::to_bits));
         if let Some(hand) = self.hands.get(&key) {
             return Ok(hand.clone());
         }
@@ -130,7 +143,7 @@ impl Runner {
 
     /// The object of a task's mesh, at a mass and friction of its own.
     fn object(&mut self, task: &FindTask) -> Result<Object> {
-        let key = (task.mesh.clone(), digest_of(&fsutil::read_bytes(&task.mesh)?));
+        let key = (task.mesh.clone(), task.unit, digest_of(&fsutil::read_bytes(&task.mesh)?));
         if let Some((_, object)) = self.object.as_ref().filter(|(known, _)| *known == key) {
             return Ok(object.clone());
         }
@@ -162,19 +175,39 @@ impl Request {
         }
     }
 
-    /// Whether the item that this entry tells of is still as it was left.
-    pub(super) fn is_current(&self, inputs_sha256: Option<&str>, options: &RunOptions) -> Result<bool> {
+    /// Whether the item is done, and as it was left.
+    pub(super) fn is_current(&self, options: &RunOptions) -> Result<bool> {
         match &self.item.task {
             Task::Twin(folder) => Twin::open(folder)?.with_seed(self.seed).is_current(&self.options(options)?),
-            Task::Find(task) => {
-                let found = found_path(self)?.is_file();
-                Ok(found && inputs_sha256 == Some(search_inputs(task, self.seed)?.as_str()))
-            }
+            Task::Find(task) => Ok(current_search(&self.search_path()?, &self.search_inputs(task)?).is_some()),
         }
     }
 
+    /// The file of what a search finds.
+    fn search_path(&self) -> Result<PathBuf> {
+        Ok(fsutil::output_path(&self.out, &format!("grasps/{}.json", self.item.name))?)
+    }
+
+    /// Digest of all that a search depends on.
+    fn search_inputs(&self, task: &FindTask) -> Result<String> {
+        // Where the mesh lies changes nothing.
+        let settings = FindTask { mesh: PathBuf::new(), ..task.clone() };
+        let inputs = Inputs::new(self.seed.unwrap_or(task.seed)).setting("find", &settings)?.file(&task.mesh)?;
+        let hand = self.base.join(&task.hand);
+        Ok(if hand.is_file() { inputs.file(&hand)? } else { inputs }.digest())
+    }
+
+    /// The entry of an item whose process ended without one; `reason` says why.
+    pub fn failed(&self, reason: &str) -> Entry {
+        Entry { row: self.failed_row(reason), run: RunRecord::ending_now(Instant::now()) }
+    }
+
+    fn failed_row(&self, reason: &str) -> Row {
+        Row::failed(&self.item, self.item.seed(self.seed), self.without_base(reason))
+    }
+
     /// A message with the folder of the batch left out of its paths.
-    pub(super) fn without_base(&self, message: &str) -> String {
+    fn without_base(&self, message: &str) -> String {
         let folder = format!("{}/", self.base.display());
         let mut short = String::new();
         let mut rest = message;
@@ -203,30 +236,10 @@ fn twin(item: &Item, folder: &Path, request: &Request, options: &RunOptions, pro
     Row::of_twin(item, &twin, &twin.stages(&options))
 }
 
-/// Digest of all that a search depends on.
-fn search_inputs(task: &FindTask, seed: Option<u64>) -> Result<String> {
-    // Where the mesh lies changes nothing.
-    let settings = FindTask { mesh: PathBuf::new(), ..task.clone() };
-    Ok(Inputs::new(seed.unwrap_or(task.seed)).setting("find", &settings)?.file(&task.mesh)?.digest())
-}
-
-fn found_path(request: &Request) -> Result<PathBuf> {
-    Ok(fsutil::output_path(&request.out, &format!("grasps/{}.json", request.item.name))?)
-}
-
-fn write_found(request: &Request, task: &FindTask, friction: f64, found: Option<&TriedGrasp>) -> Result<()> {
-    let mesh = fsutil::relative_path(&task.mesh, &request.base);
-    let file = FoundGrasp {
-        schema: SCHEMA,
-        mesh: &mesh.to_string_lossy(),
-        mass_kg: task.mass_kg,
-        friction,
-        grasp: found.map(|f| &f.grasp),
-        grip_force_n: found.map(|f| f.grip_force_n),
-        held: found.map(|f| f.held),
-        verdicts: found.map(|f| f.verdicts.as_slice()),
-    };
-    write_json(&found_path(request)?, &file)
+/// What the file says that a search found, if it was made from these inputs.
+fn current_search(path: &Path, inputs_sha256: &str) -> Option<SearchFile> {
+    let file: Option<SearchFile> = read_json(path).ok();
+    file.filter(|file| file.schema == SCHEMA && file.inputs_sha256 == inputs_sha256)
 }
 
 #[cfg(test)]

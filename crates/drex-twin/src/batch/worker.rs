@@ -9,16 +9,14 @@ use std::io::{BufRead, BufReader, Read, Write};
 use std::path::Path;
 use std::process::{Child, Command, ExitStatus, Stdio};
 use std::sync::{Mutex, PoisonError};
-use std::time::{Instant, SystemTime, UNIX_EPOCH};
+use std::time::Instant;
 
 use drex_core::fsutil;
-use drex_splat::usage;
 use serde::{Deserialize, Serialize};
 
 use super::journal::{Entry, Journal};
-use super::row::{Row, RunRecord};
-use super::runner::{Answer, Request, Runner};
-use crate::alone::host;
+use super::row::RunRecord;
+use super::runner::{Request, Runner};
 use crate::error::Context;
 use crate::{Error, Progress, Result, RunOptions};
 
@@ -96,7 +94,7 @@ fn do_each<'a>(
     let do_one = |request: &'a Request| -> Result<()> {
         match in_a_process(request, program, logs)? {
             Reply::Ended(entry) => {
-                journal.append(&entry)?;
+                journal.append(std::slice::from_ref(&entry))?;
                 watch.ended(&entry);
             }
             Reply::Busy(message) => {
@@ -147,9 +145,8 @@ fn in_a_process(request: &Request, program: Program<'_>, logs: &Path) -> Result<
     drop(life_line);
     let status = ended.with_context(|| format!("cannot wait for the worker of {}", request.item.name))?;
     Ok(serde_json::from_slice(&said).unwrap_or_else(|_| {
-        let row = Row::failed(&request.item, request.item.seed(request.seed), without_an_answer(status, request, &log));
-        let run = RunRecord { seconds: begun.elapsed().as_secs_f64(), ..RunRecord::now() };
-        Reply::Ended(Box::new(Entry { row, run, inputs_sha256: None }))
+        let entry = request.failed(&without_an_answer(status, request, &log));
+        Reply::Ended(Box::new(Entry { run: RunRecord::ending_now(begun), ..entry }))
     }))
 }
 
@@ -174,23 +171,8 @@ fn without_an_answer(status: ExitStatus, request: &Request, log: &Path) -> Strin
             "it takes more than {:.2} GB of memory, which is the limit of an item; raise it with --max-memory GB",
             limit as f64 / f64::from(1 << 30)
         ),
-        (_, Some(reason)) => request.without_base(reason),
-        _ => format!("its process ended without an answer ({status}) and said last: {}", request.without_base(last)),
-    }
-}
-
-impl RunRecord {
-    /// What this process has taken since it began, but for the wall time.
-    pub(super) fn now() -> Self {
-        let since = SystemTime::now().duration_since(UNIX_EPOCH);
-        Self {
-            ended_unix_s: since.map_or(0.0, |s| s.as_secs_f64()),
-            seconds: 0.0,
-            core_seconds: usage::core_seconds(),
-            peak_memory_bytes: usage::peak_memory_bytes(),
-            threads: rayon::current_num_threads(),
-            host: host(),
-        }
+        (_, Some(reason)) => reason.to_owned(),
+        _ => format!("its process ended without an answer ({status}) and said last: {last}"),
     }
 }
 
@@ -199,7 +181,6 @@ impl RunRecord {
 /// # Errors
 /// If there is no request on standard input, or the answer cannot be printed.
 pub fn answer_request(options: RunOptions, progress: &dyn Progress) -> Result<()> {
-    let begun = Instant::now();
     let mut input = BufReader::new(std::io::stdin());
     let mut line = String::new();
     input.read_line(&mut line).context("cannot read the request")?;
@@ -208,10 +189,7 @@ pub fn answer_request(options: RunOptions, progress: &dyn Progress) -> Result<()
     std::thread::Builder::new().name("parent".into()).spawn(move || end_with_parent(input))?;
     limit_memory(&request);
     let reply = match Runner::new(options).run(&request, progress) {
-        Ok(Answer { row, inputs_sha256 }) => {
-            let run = RunRecord { seconds: begun.elapsed().as_secs_f64(), ..RunRecord::now() };
-            Reply::Ended(Box::new(Entry { row, run, inputs_sha256 }))
-        }
+        Ok(entry) => Reply::Ended(Box::new(entry)),
         Err(error @ Error::Busy { .. }) => Reply::Busy(error.to_string()),
         Err(error) => return Err(error),
     };
