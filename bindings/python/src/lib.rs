@@ -2,6 +2,7 @@
 //! hands, sim-ready assets, simulation with derivatives, kinematics. What it offers is in `python/drex/_drex.pyi`, how to use it in `README.md`.
 
 mod arrays;
+mod batch;
 mod failure;
 mod grasp;
 mod mesh;
@@ -17,6 +18,8 @@ mod watch;
 /// The compiled part of the package `drex`.
 #[pyo3::pymodule]
 mod _drex {
+    #[pymodule_export]
+    use crate::batch::{Batch, Runner};
     #[pymodule_export]
     use crate::failure::{Busy, Error, NoCommand};
     #[pymodule_export]

@@ -123,7 +123,7 @@ impl Twin {
 }
 
 /// Hands on what a run tells.
-struct Run<'a>(&'a Part);
+pub(crate) struct Run<'a>(pub(crate) &'a Part);
 
 impl Progress for Run<'_> {
     fn note(&self, text: &str) {

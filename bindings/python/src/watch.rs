@@ -13,7 +13,7 @@ use crate::failure::{Result, refused};
 /// How often signals are looked at.
 const TICK: Duration = Duration::from_millis(30);
 /// As much as a main thread has.
-const STACK_BYTES: usize = 8 << 20;
+pub(crate) const STACK_BYTES: usize = 8 << 20;
 
 /// What the work and the call that waits for it say to each other.
 #[derive(Debug, Default)]

@@ -1,7 +1,9 @@
 """What the tests share: where the data is, and simple solids."""
 
+import json
 import os
 import pathlib
+import shutil
 import tempfile
 import threading
 import time
@@ -15,6 +17,10 @@ TIN_MESH = DATA / "tin" / "scan" / "tin.obj"
 CLIP = DATA / "demo" / "demos" / "clip_0.json"
 
 
+#: The command line, where it is there to compare with.
+PROGRAM = os.environ.get("DREX_PROGRAM")
+
+
 class Case(unittest.TestCase):
     """A test with a folder of its own."""
 
@@ -22,6 +28,34 @@ class Case(unittest.TestCase):
         folder = tempfile.TemporaryDirectory()
         self.addCleanup(folder.cleanup)
         self.folder = pathlib.Path(folder.name)
+
+
+def small_twin(folder, epochs=5, demonstrations=6):
+    """A copy of the tin's twin, whose network learns for a few epochs from a few grasps."""
+    shutil.copytree(DATA / "tin", folder)
+    grasps = folder / "demos" / "grasps.json"
+    record = json.loads(grasps.read_text())
+    record["grasps"] = record["grasps"][:demonstrations]
+    grasps.write_text(json.dumps(record))
+    with open(folder / "twin.toml", "a") as manifest:
+        manifest.write(f"\n[train]\nepochs = {epochs}\n")
+    return folder
+
+
+def twins(folder, count, broken=(), epochs=5):
+    """A folder of so many twins of different masses and seeds, weighed on a scale, so that a stage takes a moment; some have no friction."""
+    for number in range(count):
+        manifest = small_twin(folder / f"row{number % 2}" / f"tin-{number}", epochs, demonstrations=2) / "twin.toml"
+        text = manifest.read_text().replace('identify = ["push/tilt"]\nprior_kg = 0.5', f"weighed_kg = 0.2{number:02}")
+        text = text.replace("seed = 1", f"seed = {number}")
+        manifest.write_text(text.replace("friction = 0.5", "friction = -1") if number in broken else text)
+    return folder
+
+
+def files(folder):
+    """The bytes of the files below a folder that are the same in each run."""
+    paths = [path for path in folder.rglob("*") if path.is_file() and path.name not in {"timings.json", "runs.csv", "journal.jsonl"}]
+    return {path.relative_to(folder).as_posix(): path.read_bytes() for path in paths}
 
 
 def runs_beside(case, call):

@@ -2,7 +2,6 @@
 
 import fcntl
 import json
-import os
 import shutil
 import subprocess
 import time
@@ -11,9 +10,7 @@ import unittest
 import numpy as np
 
 import drex
-from support import DATA, TIN_MESH, Case, runs_beside
-
-PROGRAM = os.environ.get("DREX_PROGRAM")
+from support import PROGRAM, TIN_MESH, Case, runs_beside, small_twin
 
 
 class Twins(Case):
@@ -21,18 +18,7 @@ class Twins(Case):
 
     def setUp(self):
         super().setUp()
-        self.twin = self.copied(self.folder / "twin")
-
-    @staticmethod
-    def copied(folder, epochs=5, demonstrations=6):
-        shutil.copytree(DATA / "tin", folder)
-        grasps = folder / "demos" / "grasps.json"
-        record = json.loads(grasps.read_text())
-        record["grasps"] = record["grasps"][:demonstrations]
-        grasps.write_text(json.dumps(record))
-        with open(folder / "twin.toml", "a") as manifest:
-            manifest.write(f"\n[train]\nepochs = {epochs}\n")
-        return folder
+        self.twin = small_twin(self.folder / "twin")
 
     def test_stages_and_what_they_need_are_done_once(self):
         twin = drex.Twin.open(self.twin)
@@ -162,7 +148,7 @@ class Twins(Case):
 
     def test_a_run_lets_others_run_and_is_stopped_and_goes_on(self):
         shutil.rmtree(self.twin)
-        self.copied(self.twin, epochs=100000, demonstrations=2)
+        small_twin(self.twin, epochs=100000, demonstrations=2)
         twin = drex.Twin.open(self.twin)
         twin.run(["identify", "grasps"])
 

@@ -11,6 +11,7 @@ import numpy as _numpy  # the compiled part needs it, and says less clearly that
 
 from ._drex import (
     Asset,
+    Batch,
     Busy,
     Command,
     Error,
@@ -29,6 +30,7 @@ from ._drex import (
     Retargeter,
     Retargeting,
     Robot,
+    Runner,
     Trial,
     TriedGrasp,
     Twin,
@@ -43,6 +45,7 @@ from ._drex import (
 
 __all__ = [
     "Asset",
+    "Batch",
     "Busy",
     "Command",
     "Error",
@@ -61,6 +64,7 @@ __all__ = [
     "Retargeter",
     "Retargeting",
     "Robot",
+    "Runner",
     "Trial",
     "TriedGrasp",
     "Twin",

@@ -30,6 +30,7 @@ _Verdict: TypeAlias = Literal[
 
 __all__ = [
     "Asset",
+    "Batch",
     "Busy",
     "Command",
     "Error",
@@ -48,6 +49,7 @@ __all__ = [
     "Retargeter",
     "Retargeting",
     "Robot",
+    "Runner",
     "Trial",
     "TriedGrasp",
     "Twin",
@@ -423,6 +425,32 @@ class Twin:
     def predict(
         self, pose: ArrayLike | None = None, mass_kg: float | None = None, *, friction: float | None = None
     ) -> Prediction: ...
+
+@final
+class Batch:
+    @staticmethod
+    def open(path: _Path, out: _Path | None = None) -> Batch: ...
+    @property
+    def names(self) -> list[str]: ...
+    @property
+    def out(self) -> Path: ...
+    def requests(self, stages: Sequence[_Stage] | None = None, seed: int | None = None) -> list[str]: ...
+    def record(self, rows: Sequence[Mapping[str, Any]]) -> Path: ...
+
+@final
+class Runner:
+    def __new__(cls, threads: int | None = None) -> Runner: ...
+    @property
+    def threads(self) -> int: ...
+    def run(
+        self,
+        request: str,
+        progress: Callable[[float], object] | None = None,
+        *,
+        note: Callable[[str], object] | None = None,
+    ) -> dict[str, Any]: ...
+    @staticmethod
+    def failed(request: str, reason: str) -> dict[str, Any]: ...
 
 @final
 class Mass:
