@@ -129,7 +129,7 @@ impl Watch for Lines<'_> {
         self.ui.begin("batch", Some(plan.todo as u64));
     }
 
-    fn ended(&self, entry: &Entry) {
+    fn finished(&self, entry: &Entry) {
         let done = 1 + self.done.fetch_add(1, Ordering::Relaxed);
         let todo = self.todo.load(Ordering::Relaxed);
         let left = self.begun.elapsed().as_secs_f64() / done as f64 * todo.saturating_sub(done) as f64;

@@ -47,7 +47,7 @@ pub trait Watch: Sync {
     fn begins(&self, _plan: &Plan) {}
 
     /// An item ended.
-    fn ended(&self, entry: &Entry);
+    fn finished(&self, entry: &Entry);
 
     /// Somebody else works on an item, which is tried again when the others have ended; `message` says who.
     fn busy(&self, _name: &str, _message: &str) {}
@@ -58,7 +58,7 @@ pub trait Watch: Sync {
 #[serde(rename_all = "lowercase")]
 enum Reply {
     /// The item ended.
-    Ended(Box<Entry>),
+    Finished(Box<Entry>),
     /// Somebody else works on it.
     Busy(String),
 }
@@ -93,9 +93,9 @@ fn do_each<'a>(
     let next = || queue.lock().unwrap_or_else(PoisonError::into_inner).pop_front();
     let do_one = |request: &'a Request| -> Result<()> {
         match in_a_process(request, program, logs)? {
-            Reply::Ended(entry) => {
+            Reply::Finished(entry) => {
                 journal.append(std::slice::from_ref(&entry))?;
-                watch.ended(&entry);
+                watch.finished(&entry);
             }
             Reply::Busy(message) => {
                 watch.busy(&request.item.name, &message);
@@ -113,9 +113,9 @@ fn do_each<'a>(
     };
     std::thread::scope(|scope| {
         let threads: Vec<_> = (0..jobs).map(|_| scope.spawn(one_after_the_other)).collect();
-        let ended = threads.into_iter().map(|thread| thread.join().unwrap_or_else(|p| std::panic::resume_unwind(p)));
+        let results = threads.into_iter().map(|thread| thread.join().unwrap_or_else(|p| std::panic::resume_unwind(p)));
         // All of them, so that no item is left half done by the failure of another thread.
-        ended.collect::<Vec<_>>().into_iter().collect::<Result<()>>()
+        results.collect::<Vec<_>>().into_iter().collect::<Result<()>>()
     })?;
     Ok(busy.into_inner().unwrap_or_else(PoisonError::into_inner))
 }
@@ -140,13 +140,13 @@ fn in_a_process(request: &Request, program: Program<'_>, logs: &Path) -> Result<
     if let Some(out) = child.stdout.take() {
         let _ = out.take(LONGEST_ANSWER).read_to_end(&mut said);
     }
-    let ended = child.wait();
+    let waited = child.wait();
     end_group(&child);
     drop(life_line);
-    let status = ended.with_context(|| format!("cannot wait for the worker of {}", request.item.name))?;
+    let status = waited.with_context(|| format!("cannot wait for the worker of {}", request.item.name))?;
     Ok(serde_json::from_slice(&said).unwrap_or_else(|_| {
         let entry = request.failed(&without_an_answer(status, request, &log));
-        Reply::Ended(Box::new(Entry { run: RunRecord::ending_now(begun), ..entry }))
+        Reply::Finished(Box::new(Entry { run: RunRecord::ending_now(begun), ..entry }))
     }))
 }
 
@@ -189,7 +189,7 @@ pub fn answer_request(options: RunOptions, progress: &dyn Progress) -> Result<()
     std::thread::Builder::new().name("parent".into()).spawn(move || end_with_parent(input))?;
     limit_memory(&request);
     let reply = match Runner::new(options).run(&request, progress) {
-        Ok(entry) => Reply::Ended(Box::new(entry)),
+        Ok(entry) => Reply::Finished(Box::new(entry)),
         Err(error @ Error::Busy { .. }) => Reply::Busy(error.to_string()),
         Err(error) => return Err(error),
     };
