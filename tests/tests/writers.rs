@@ -43,6 +43,8 @@ const WRITERS: &[(&str, Why)] = &[
     ("apps/drex-bench/src/library.rs", Checked),
     ("apps/drex-bench/src/run.rs", Checked),
     ("apps/drex-bench/src/table.rs", Constant),
+    ("apps/drex-bench/src/tin/push.rs", Constant),
+    ("apps/drex-bench/src/twins/mod.rs", Constant),
     ("apps/drex/src/commands/asset.rs", Checked),
     ("apps/drex/src/commands/demo.rs", Constant),
     ("apps/drex/src/commands/doctor.rs", Constant),

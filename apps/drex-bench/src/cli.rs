@@ -56,6 +56,8 @@ pub enum Command {
     Grasp(GraspArgs),
     /// Make random objects: boxes, cylinders, letters and bottles of 20 g to 1.5 kg, each as a mesh with its exact mass properties.
     Objects(ObjectsArgs),
+    /// Make many small twin folders: tins of random sizes and masses, each with a simulated push and grasps of its own.
+    Twins(TwinsArgs),
 }
 
 /// What the benches have in common.
@@ -148,6 +150,20 @@ pub struct ObjectsArgs {
     #[arg(long, value_enum, default_value_t = MassClass::Solid)]
     pub mass: MassClass,
     /// Folder for NAME/object.obj and NAME/object.json.
+    #[arg(long, value_name = "DIR")]
+    pub out: PathBuf,
+}
+
+/// `drex-bench twins`.
+#[derive(Debug, Args)]
+pub struct TwinsArgs {
+    /// Number of twins, numbered from 0; the first ones are the same whatever the number.
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=100_000))]
+    pub count: u32,
+    /// Number of broken twins beside them, each with one fault; the faults take turns.
+    #[arg(long, value_name = "K", default_value_t = 0, value_parser = clap::value_parser!(u32).range(0..=100_000))]
+    pub broken: u32,
+    /// Folder for the twins twin-000, twin-001, ... and broken-0, broken-1, ...
     #[arg(long, value_name = "DIR")]
     pub out: PathBuf,
 }

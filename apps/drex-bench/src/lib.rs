@@ -1,4 +1,5 @@
-//! Random objects for experiments: boxes, cylinders, letters and bottles, solid, hollow and off-centre.
+//! Random objects for experiments ([`generate`]: boxes, cylinders, letters and bottles, solid, hollow and off-centre) and random twin folders
+//! ([`twins`]).
 //!
 //! ```
 //! use drex_bench::generate::{MassClass, random_object};
@@ -14,3 +15,5 @@
 //! The experiments themselves are the program of the same name.
 
 pub mod generate;
+pub mod tin;
+pub mod twins;

@@ -7,6 +7,7 @@ use std::time::Instant;
 use anyhow::{Context, Result, bail};
 use clap::ValueEnum as _;
 use drex_bench::generate::random_object;
+use drex_bench::twins::{Fault, SyntheticTwin};
 use drex_core::fsutil;
 use drex_grasp::GraspOrigin;
 use drex_policy::TrainOptions;
@@ -16,9 +17,10 @@ use drex_trial::{Engine, TrialEvaluator, TrialOptions};
 use drex_twin::learn::POINTS;
 use drex_twin::timings::{self, Timing};
 use drex_twin::with_torque_cap;
+use rayon::prelude::*;
 use serde::Serialize;
 
-use crate::cli::{Command, Common, DemosArgs, GraspArgs, ObjectsArgs, Output};
+use crate::cli::{Command, Common, DemosArgs, GraspArgs, ObjectsArgs, Output, TwinsArgs};
 use crate::experiments::Bench;
 use crate::library::{self, Library, LibraryOptions};
 use crate::object::BenchObject;
@@ -34,6 +36,7 @@ pub fn run(command: &Command, seed: u64, output: Output) -> Result<()> {
         Command::Demos(args) => demos(args, seed, output),
         Command::Grasp(args) => grasp(args, seed, output),
         Command::Objects(args) => random_objects(args, seed, output),
+        Command::Twins(args) => twins(args, seed, output),
     }
 }
 
@@ -66,6 +69,49 @@ fn random_objects(args: &ObjectsArgs, seed: u64, output: Output) -> Result<()> {
             1e3 * r.mass_kg,
             r.friction
         )
+    };
+    output.answer(&rows, rows.iter().map(line).collect::<Vec<_>>().join("\n"))
+}
+
+/// One line of `bench twins`.
+#[derive(Serialize)]
+struct TwinRow {
+    twin: String,
+    mass_kg: f64,
+    friction: f64,
+    size_m: [f64; 3],
+    largest_lean_rad: f64,
+    fault: Option<&'static str>,
+}
+
+fn twins(args: &TwinsArgs, seed: u64, output: Output) -> Result<()> {
+    let make = |twin: Result<SyntheticTwin>| {
+        let twin = twin?;
+        twin.write(&args.out).with_context(|| format!("twin \"{}\"", twin.name))?;
+        Ok(TwinRow {
+            mass_kg: twin.mass_kg,
+            friction: twin.friction,
+            size_m: twin.size_m,
+            largest_lean_rad: twin.largest_lean_rad,
+            fault: twin.fault.map(Fault::as_str),
+            twin: twin.name,
+        })
+    };
+    let whole = (0..args.count).into_par_iter().map(|number| make(SyntheticTwin::new(seed, number)));
+    let broken = (0..args.broken).into_par_iter().map(|number| make(SyntheticTwin::broken(seed, number)));
+    let rows = whole.chain(broken).collect::<Result<Vec<_>>>()?;
+    let line = |r: &TwinRow| {
+        let [x, y, z] = r.size_m.map(|s| 1e3 * s);
+        format!(
+            "{:10} {:5.1} g  friction {:.3}  {x:4.1} x {y:4.1} x {z:5.1} mm  leans {:4.1} degrees  {}",
+            r.twin,
+            1e3 * r.mass_kg,
+            r.friction,
+            r.largest_lean_rad.to_degrees(),
+            r.fault.unwrap_or_default()
+        )
+        .trim_end()
+        .to_owned()
     };
     output.answer(&rows, rows.iter().map(line).collect::<Vec<_>>().join("\n"))
 }

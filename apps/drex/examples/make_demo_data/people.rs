@@ -6,6 +6,7 @@
 use std::path::Path;
 
 use anyhow::Result;
+use drex_bench::tin::normal3;
 use drex_core::Pose;
 use drex_demo::{Demonstration, HandFrame, HumanFinger, KEYPOINTS, KeyPoints};
 use drex_grasp::{Grasp, pinch_grasps};
@@ -14,8 +15,6 @@ use drex_retarget::TargetHand;
 use nalgebra::{Point3, Translation3, Vector3};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
-
-use super::normal3;
 
 /// Clips, and pinches that the search looks at.
 const CLIPS: usize = 4;

@@ -6,6 +6,7 @@ use std::io::Cursor;
 use std::path::Path;
 
 use anyhow::{Context, Result};
+use drex_bench::tin::normal3;
 use drex_core::camera::point_looked_at;
 use drex_core::{Pose, Surface, TriMesh, fsutil};
 use drex_mesh::MeshSdf;
@@ -17,7 +18,6 @@ use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rayon::prelude::*;
 
-use super::normal3;
 use super::print::{Paint, on_table, on_tin};
 
 /// Size of a photo and its focal length, pixels.
