@@ -1,8 +1,11 @@
 """Batches by Ray on a local cluster of two workers: rows and bytes, lost workers, cancelled runs, twins where workers share no disk."""
 
+import contextlib
 import fcntl
+import io
 import os
 import pathlib
+import re
 import shutil
 import signal
 import subprocess
@@ -11,6 +14,7 @@ import tempfile
 import textwrap
 import time
 import unittest
+import unittest.mock
 
 import numpy as np
 
@@ -30,6 +34,7 @@ except ImportError as error:
     raise unittest.SkipTest(str(error)) from None
 
 INIT = dict(address="local", num_cpus=2, object_store_memory=80 << 20, include_dashboard=False, log_to_driver=False, logging_level="error")
+ROOT = pathlib.Path(__file__).resolve().parents[1]
 #: Stages that take a moment.
 QUICK = ["asset"]
 
@@ -186,6 +191,7 @@ class Folders(Case):
         for stop in [by_interrupt, by_cancel, by_kill]:
             with self.subTest(stop.__name__):
                 folder = twins(self.folder / stop.__name__, 3)
+                shutil.rmtree(marks, ignore_errors=True)
                 marks.mkdir()
                 stop(folder)
                 workers = [path.name for path in marks.iterdir()]
@@ -194,7 +200,6 @@ class Folders(Case):
                 rows = drex.ray.run_twins(folder, stages=["grasps"]).take_all()
                 self.assertEqual({row["status"] for row in rows}, {"done"}, rows)
                 self.assertEqual(files(folder), files(other))
-                shutil.rmtree(marks)
 
     def test_a_driver_that_is_killed_leaves_nothing(self):
         folder = twins(self.folder / "many", 3, epochs=1000000)
@@ -263,6 +268,36 @@ class Pipelines(Case):
         same = ["name", "verdict", "grip_force_n", "held", "grasp", "shelf"]
         mapped = sorted(mapped.take_all(), key=lambda row: row["shelf"])
         self.assertEqual([[row[name] for name in same] for row in mapped], [[row[name] for name in same] for row in rows])
+
+
+class Documents(Case):
+    """What the README and the examples say."""
+
+    def setUp(self):
+        super().setUp()
+        self.addCleanup(os.chdir, os.getcwd())
+        os.chdir(self.folder)
+
+    def test_the_readme(self):
+        blocks = re.findall(r"^```python ray\n(.*?)^```", (ROOT / "README.md").read_text(), re.S | re.M)
+        self.assertEqual(len(blocks), 1)
+        twins(pathlib.Path("shelf"), 2)
+        with contextlib.redirect_stdout(io.StringIO()) as said:
+            exec(blocks[0], {})
+        self.assertRegex(said.getvalue(), r"row0/tin-0 +done +0.2\D")
+
+    def test_many_grasps(self):
+        script = (ROOT / "examples" / "many_grasps.py").read_text()
+        effort = "candidates=4000, simulated=4"
+        self.assertIn(effort, script)
+        script = script.replace(effort, "candidates=1000, simulated=1, trials=2").replace('"allegro_right"', '"nobody"')
+        with unittest.mock.patch("sys.argv", ["many_grasps.py", str(TIN_MESH)]):
+            with contextlib.redirect_stdout(io.StringIO()) as said:
+                exec(script, {})
+        lines = said.getvalue().splitlines()
+        self.assertEqual(len(lines), 4, lines)
+        self.assertTrue(all(line.startswith(TIN_MESH.name) for line in lines), lines)
+        self.assertEqual(sum("nobody" in line and "held None" in line for line in lines), 2, lines)
 
 
 class Elsewhere(Case):

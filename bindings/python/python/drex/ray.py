@@ -95,7 +95,7 @@ class RunTwin:
     """Runs twins one after the other; for ``ray.data.Dataset.map``, where "twin" is the column of their folders or URLs.
 
     ``stages`` and ``seed`` are those of ``Batch.requests``. An actor has as many threads as its ``num_cpus`` unless ``threads`` says how many, and
-    keeps hands and meshes loaded. A failure is a row, but Ray drops what a lost worker was doing: ``run_twins`` does not.
+    keeps hands and meshes loaded. A failure is a row; for lost workers Ray's rules hold, not those of ``run_twins``.
     """
 
     def __init__(self, stages: Sequence[_Stage] | None = None, seed: int | None = None, threads: int | None = None) -> None:
@@ -186,8 +186,12 @@ def _kept(runner: Any, threads: int | None) -> Any:
 
 def _run(runner: Any, request: str) -> dict[str, Any]:
     """What a worker does; its process keeps the runner for the next item."""
-    row: dict[str, Any] = _kept(runner, _assigned_cpus()).run(request)
-    return row
+    try:
+        row: dict[str, Any] = _kept(runner, _assigned_cpus()).run(request)
+        return row
+    except KeyboardInterrupt:  # a call of ray.cancel
+        # The work goes on beside the interpreter until it hears of it, which may take a stage: with the process it ends now.
+        os._exit(1)
 
 
 def _done(
