@@ -3,6 +3,7 @@
 import contextlib
 import fcntl
 import io
+import math
 import os
 import pathlib
 import re
@@ -59,6 +60,16 @@ def eventually(done, seconds=20):
             return False
         time.sleep(0.1)
     return True
+
+
+def is_busy(twin):
+    """Whether a process works on the twin."""
+    with open(twin / "twin.toml") as manifest:
+        try:
+            fcntl.flock(manifest, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            return True
+    return False
 
 
 def alive(pid):
@@ -164,12 +175,14 @@ class Folders(Case):
         def work(folder):
             return drex.ray.run_twins(folder, stages=["grasps"], runner=Marked)
 
+        def stop(part):
+            raise KeyboardInterrupt
+
         def by_interrupt(folder):
-            def stop(part):
-                raise KeyboardInterrupt
 
             with self.assertRaises(KeyboardInterrupt):
                 drex.ray.run_twins(folder, stages=["grasps"], runner=Marked, progress=stop)
+            self.assertFalse(any(map(is_busy, folder.glob("*/*"))))
 
         def by_cancel(folder):
             job = ray.remote(num_cpus=0)(work).remote(folder)
@@ -188,14 +201,18 @@ class Folders(Case):
 
         other = twins(self.folder / "other", 3)
         drex.ray.run_twins(other, stages=["grasps"])
-        for stop in [by_interrupt, by_cancel, by_kill]:
-            with self.subTest(stop.__name__):
-                folder = twins(self.folder / stop.__name__, 3)
+        # When nothing is running any more.
+        with self.assertRaises(KeyboardInterrupt):
+            drex.ray.run_twins(other, stages=["grasps"], concurrency=1, progress=lambda part: part == 1 and stop(part))
+        for end in [by_interrupt, by_cancel, by_kill]:
+            with self.subTest(end.__name__):
+                folder = twins(self.folder / end.__name__, 3)
                 shutil.rmtree(marks, ignore_errors=True)
                 marks.mkdir()
-                stop(folder)
-                workers = [path.name for path in marks.iterdir()]
-                self.assertTrue(workers and eventually(lambda: not any(map(alive, workers))), workers)
+                end(folder)
+                self.assertTrue(any(marks.iterdir()))
+                # Workers may live, with nothing to do.
+                self.assertTrue(eventually(lambda: not any(map(is_busy, folder.glob("*/*")))))
                 self.assertFalse((folder / "batch").exists())
                 rows = drex.ray.run_twins(folder, stages=["grasps"]).take_all()
                 self.assertEqual({row["status"] for row in rows}, {"done"}, rows)
@@ -248,18 +265,24 @@ class Pipelines(Case):
         self.assertTrue(rows[2]["error"].startswith("tin-1/twin.toml: "), rows[2]["error"])
 
     def test_grasps_are_found(self):
-        batch = {"mesh": [str(TIN_MESH)] * 3, "mass_kg": [0.2, 50.0, 0.2], "hand": ["leap_right", "leap_right", "nobody"], "shelf": [1, 2, 3]}
+        batch = {
+            "mesh": [str(TIN_MESH)] * 4,
+            "mass_kg": [0.2, 50.0, 0.2, math.nan],
+            "hand": ["leap_right", "leap_right", "nobody", "leap_right"],
+            "shelf": [1, 2, 3, 4],
+        }
         found = drex.ray.FindGrasps(candidates=2000, simulated=2, trials=2, threads=1)(batch)
         rows = found.to_pylist()
-        self.assertEqual([row["verdict"] for row in rows], ["found", "none", ""])
-        self.assertEqual([row["status"] for row in rows], ["done", "done", "failed"])
+        self.assertEqual([row["verdict"] for row in rows], ["found", "none", "", ""])
+        self.assertEqual([row["status"] for row in rows], ["done", "done", "failed", "failed"])
         self.assertIn("nobody", rows[2]["error"])
-        self.assertEqual([row["shelf"] for row in rows], [1, 2, 3])
+        self.assertRegex(rows[3]["error"], "mass")
+        self.assertEqual([row["shelf"] for row in rows], [1, 2, 3, 4])
         self.assertIn('"hand": "leap_right"', rows[0]["grasp"])
         self.assertEqual((rows[0]["name"], rows[1]["grasp"]), (str(TIN_MESH), ""))
         # The same by an actor.
-        items = [{name: values[i] for name, values in batch.items()} for i in range(3)]
-        mapped = ray.data.from_items(items, override_num_blocks=3).map_batches(
+        items = [{name: values[i] for name, values in batch.items()} for i in range(4)]
+        mapped = ray.data.from_items(items, override_num_blocks=4).map_batches(
             drex.ray.FindGrasps,
             fn_constructor_kwargs=dict(candidates=2000, simulated=2, trials=2),
             batch_size=1,
@@ -312,6 +335,8 @@ class Elsewhere(Case):
         drex.ray.run_twins(other, stages=QUICK)
         self.assertEqual([row["status"] for row in rows], ["done", "failed", "done", "failed"])
         self.assertEqual(files(folder), files(other))
+        with self.assertRaisesRegex(drex.Error, "holds no twin"):
+            drex.ray.run_twins(f"file://{self.folder}/nowhere")
         # What is up to date is only copied, and tables may go to this machine.
         before = {path: path.stat().st_mtime_ns for path in folder.rglob("*")}
         drex.ray.run_twins(url, stages=QUICK, out=self.folder / "out")

@@ -14,23 +14,26 @@ where a copy was interrupted. All that its twin.toml names must then lie in its 
 from __future__ import annotations
 
 import contextlib
-import functools
 import json
+import math
 import os
 import tempfile
 from collections import deque
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 try:
     # Not all are typed, and mypy reads this file also where they are not installed.
-    import fsspec  # type: ignore[import-not-found, import-untyped, unused-ignore]
     import pyarrow as pa  # type: ignore[import-not-found, import-untyped, unused-ignore]
     import ray  # type: ignore[import-not-found, unused-ignore]
     import ray.data  # type: ignore[import-not-found, unused-ignore]
-except ImportError as error:
-    raise ImportError(f"drex.ray needs Ray's data sets ({error}): pip install 'ray[data]>=2.40'") from error
+
+    from ._remote import listed, local_request
+except ImportError:
+    raise ImportError("drex.ray needs Ray's data sets: pip install 'ray[data]>=2.40'")
 
 from . import Batch, Busy, Error, Runner
 
@@ -55,6 +58,8 @@ SCHEMA = pa.schema(
 RETRIES = 2
 #: How long workers that were told to end are waited for.
 _FAREWELL_S = 20.0
+#: The runners of this worker, by their classes and threads.
+_KEPT: dict[tuple[type[RunTwin], int | None], RunTwin] = {}
 #: Most tasks that Ray holds at a time.
 _MOST_TASKS = 2000
 
@@ -79,14 +84,14 @@ def run_twins(
     Stages and seed are those of ``Batch.requests``. Each item takes ``num_cpus`` of the cluster's and has as many threads; ``concurrency`` is how
     many items are done at a time (as many as the cluster has room for if left out). ``out`` is a folder of this machine for the tables
     results.csv and runs.csv, as for ``Batch.open``; for twins that are given by URL they go to the folder "batch" there if it is left out.
-    ``progress`` is called with the part of the items that have ended, from 0 to 1. ``runner`` is a class in place of ``RunTwin``.
+    ``progress`` is called with the part of the items that are done, from 0 to 1. ``runner`` is a class in place of ``RunTwin``.
 
     Ctrl-C, or whatever else ends the call, ends the workers at once, and another call goes on from there.
     """
-    with _listed(os.fspath(folder_or_list), out) as (batch, moved):
+    with listed(os.fspath(folder_or_list), out) as (batch, moved):
         requests = batch.requests(stages, seed)
-        done = _done([moved(request) for request in requests], runner or RunTwin, num_cpus, concurrency, progress)
-        rows = [row if isinstance(row, dict) else Runner.failed(requests[i], row) for i, row in enumerate(done)]
+        results = _results([moved(request) for request in requests], runner or RunTwin, num_cpus, concurrency, progress)
+        rows = [row if isinstance(row, dict) else Runner.failed(requests[i], row) for i, row in enumerate(results)]
         batch.record([row for row in rows if row["status"] != "pending"])
     return ray.data.from_arrow(pa.Table.from_pylist(rows, SCHEMA))
 
@@ -112,19 +117,11 @@ class RunTwin:
 
     def run(self, request: str) -> dict[str, Any]:
         """Does one of ``Batch.requests``, whose twin may be named by a URL, and returns its row. Only an interrupt is an exception."""
-        try:
-            with _local(request) as here:
-                return self._runner.run(here)
-        except (KeyboardInterrupt, SystemExit):
-            raise
-        except Busy as error:
-            return dict(Runner.failed(request, str(error)), status="pending")
-        except BaseException as error:  # a panic is none of Exception
-            return Runner.failed(request, str(error) if isinstance(error, Error) else f"{type(error).__name__}: {error}")
+        return _row(self._runner, request)
 
 
 class FindGrasps:
-    """Finds grasps, for ``ray.data.Dataset.map_batches``: "mesh" (file), "mass_kg" and "hand" (bundled, or a file) are its columns.
+    """Finds grasps, for ``ray.data.Dataset.map_batches``: its columns are "mesh" (file), "mass_kg" and "hand" (bundled, or a file).
 
     The options are those of ``find_grasp`` and the unit of the meshes ("m", "cm" or "mm"). A batch comes back with the columns of ``SCHEMA``, where
     "verdict" is "found" or "none" and "name" the mesh, and "grasp", a JSON text with the hand, its joints, the pose of its base and the contacts.
@@ -152,8 +149,10 @@ class FindGrasps:
         rows = []
         for mesh, mass_kg, hand in zip(batch["mesh"], batch["mass_kg"], batch["hand"]):
             with tempfile.TemporaryDirectory() as out:
-                task = dict(self._options, mesh=str(mesh), mass_kg=float(mass_kg), hand=str(hand))
-                row = self._runner.run(_request("found", {"find": task}, "", out))
+                # What is no mass is none of nothing, and refused.
+                known = isinstance(mass_kg, (int, float, np.number)) and math.isfinite(mass_kg)
+                task = dict(self._options, mesh=str(mesh), mass_kg=float(mass_kg) if known else 0.0, hand=str(hand))
+                row = _row(self._runner, _request("found", {"find": task}, "", out))
                 file = Path(out) / "grasps" / "found.json"
                 found = json.loads(file.read_text())["grasp"] if file.exists() else None
             rows.append(dict(row, name=str(mesh), hand=str(hand), grasp=json.dumps(found) if found else ""))
@@ -162,6 +161,19 @@ class FindGrasps:
             if name not in table.column_names:
                 table = table.append_column(name, pa.array(batch[name]))
         return table
+
+
+def _row(runner: Runner, request: str) -> dict[str, Any]:
+    """What a runner answers to a request, whose twin may be named by a URL, or why it does not."""
+    try:
+        with local_request(request) as here:
+            return runner.run(here)
+    except (KeyboardInterrupt, SystemExit):
+        raise
+    except Busy as error:
+        return dict(Runner.failed(request, str(error)), status="pending")
+    except BaseException as error:  # a panic is none of Exception
+        return Runner.failed(request, str(error) if isinstance(error, Error) else f"{type(error).__name__}: {error}")
 
 
 def _request(
@@ -179,22 +191,19 @@ def _assigned_cpus() -> int | None:
     return None
 
 
-@functools.cache
-def _kept(runner: Any, threads: int | None) -> Any:
-    return runner(threads=threads)
-
-
-def _run(runner: Any, request: str) -> dict[str, Any]:
+def _run(runner: type[RunTwin], request: str) -> dict[str, Any]:
     """What a worker does; its process keeps the runner for the next item."""
+    key = (runner, _assigned_cpus())
+    if key not in _KEPT:
+        _KEPT[key] = runner(threads=key[1])
     try:
-        row: dict[str, Any] = _kept(runner, _assigned_cpus()).run(request)
-        return row
+        return _KEPT[key].run(request)
     except KeyboardInterrupt:  # a call of ray.cancel
         # The work goes on beside the interpreter until it hears of it, which may take a stage: with the process it ends now.
         os._exit(1)
 
 
-def _done(
+def _results(
     requests: list[str],
     runner: type[RunTwin],
     num_cpus: int,
@@ -204,106 +213,34 @@ def _done(
     """The row of each request, or why its workers were lost."""
     # Ray would do an item again for ever whose workers run out of memory.
     task = ray.remote(_run).options(num_cpus=num_cpus, max_retries=0)
-    ended: list[dict[str, Any] | str] = [""] * len(requests)
+    results: list[dict[str, Any] | str] = [""] * len(requests)
     todo = deque((i, 0) for i in range(len(requests)))
     running: dict[Any, tuple[int, int]] = {}
-    left = len(requests)
+    done = 0
     try:
-        while left:
+        while todo or running:
             while todo and len(running) < (concurrency or _MOST_TASKS):
                 i, tried = todo.popleft()
                 running[task.remote(runner, requests[i])] = (i, tried)
             [reference], _ = ray.wait(list(running))
             i, tried = running.pop(reference)
             try:
-                ended[i] = row = ray.get(reference)
+                results[i] = row = ray.get(reference)
                 again = row["status"] == "pending"
             except ray.exceptions.RayError as error:
-                ended[i] = f"worker lost {tried + 1} times: {str(error).strip().splitlines()[-1]}"
+                why = error.cause if isinstance(error, ray.exceptions.RayTaskError) else str(error).strip().split("\n")[0]
+                results[i] = f"worker lost {tried + 1} times: {why}"
                 again = True
             if again and tried < RETRIES:
                 todo.append((i, tried + 1))
                 continue
-            left -= 1
+            done += 1
             if progress:
-                progress(1 - left / len(requests))
-    except BaseException:
+                progress(done / len(requests))
+    finally:
+        # Nothing, unless something was raised. Workers work on their twins until they are gone.
         for reference in running:
             ray.cancel(reference, force=True)
-        # They work on their twins until they are gone.
-        ray.wait(list(running), num_returns=len(running), timeout=_FAREWELL_S)
-        raise
-    return ended
-
-
-@contextlib.contextmanager
-def _listed(path: str, out: str | os.PathLike[str] | None) -> Iterator[tuple[Batch, Callable[[str], str]]]:
-    """The batch, and what its requests are for workers. What is given by URL is listed by its manifests, in a temporary folder."""
-    if "://" not in path:
-        # Workers have other working directories.
-        yield Batch.open(os.path.abspath(path), out and os.path.abspath(out)), str
-        return
-    with tempfile.TemporaryDirectory() as folder:
-        _copy_in(path, Path(folder), "/twin.toml")
-
-        def moved(request: str) -> str:
-            content = json.loads(request)
-            name = content["item"]["name"]
-            content["item"]["task"] = {"twin": f"{path.rstrip('/')}/{name}"}
-            return json.dumps(dict(content, base=path.rstrip("/")))
-
-        tables = f"{path.rstrip('/')}/batch"
-        batch = Batch.open(folder, out)
-        before = {} if out else _copy_in(tables, batch.out)
-        yield batch, moved
-        if not out:
-            _copy_out(batch.out, tables, before)
-
-
-@contextlib.contextmanager
-def _local(request: str) -> Iterator[str]:
-    """The request, with a twin that is named by a URL in a folder of this machine."""
-    content = json.loads(request)
-    url = content["item"]["task"].get("twin", "")
-    if "://" not in url:
-        yield request
-        return
-    with tempfile.TemporaryDirectory() as base:
-        twin = Path(base) / url.removeprefix(content["base"]).strip("/")
-        before = _copy_in(url, twin)
-        content["item"]["task"] = {"twin": str(twin)}
-        yield json.dumps(dict(content, base=base))
-        _copy_out(twin, url, before)
-
-
-def _copy_in(url: str, folder: Path, wanted: str = "") -> dict[str, Any]:
-    """Copies the files below a URL whose names end like that into a folder, and returns what `_files` says of it."""
-    system, root = fsspec.url_to_fs(url)
-    names = [path[len(root) :].lstrip("/") for path in system.find(root) if path.endswith(wanted)]
-    for name in names:
-        if ".." in name.split("/"):
-            raise Error(f"{url}: the name {name} leads out of the folder; rename it")
-    for parent in {folder} | {(folder / name).parent for name in names}:
-        parent.mkdir(parents=True, exist_ok=True)
-    system.get([f"{root}/{name}" for name in names], [str(folder / name) for name in names])
-    return _files(folder)
-
-
-def _copy_out(folder: Path, url: str, before: Mapping[str, Any]) -> None:
-    """Makes the files below a URL those of the folder, of which `_files` said before what is there now: twin.lock last."""
-    system, root = fsspec.url_to_fs(url)
-    after = _files(folder)
-    for name in before.keys() - after.keys():
-        system.rm_file(f"{root}/{name}")
-    changed = [name for name in after if after[name] != before.get(name)]
-    for parent in {os.path.dirname(f"{root}/{name}") for name in changed}:
-        system.makedirs(parent, exist_ok=True)
-    for last in [False, True]:
-        names = sorted(name for name in changed if (name == "twin.lock") == last)
-        system.put([str(folder / name) for name in names], [f"{root}/{name}" for name in names])
-
-
-def _files(folder: Path) -> dict[str, tuple[int, int]]:
-    """The files in a folder by their names, with what changes when they are written."""
-    files = [(path, path.stat()) for path in folder.rglob("*") if path.is_file()]
-    return {path.relative_to(folder).as_posix(): (stat.st_mtime_ns, stat.st_size) for path, stat in files}
+        if running:
+            ray.wait(list(running), num_returns=len(running), timeout=_FAREWELL_S)
+    return results
