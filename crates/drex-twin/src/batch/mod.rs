@@ -13,6 +13,7 @@ mod journal;
 mod list;
 mod row;
 mod runner;
+mod search;
 mod table;
 mod worker;
 

@@ -7,7 +7,7 @@ use drex_trial::wilson;
 use serde::{Deserialize, Serialize};
 
 use super::list::{FindTask, Item};
-use super::runner::SearchFile;
+use super::search::SearchFile;
 use crate::alone::host;
 use crate::lock::made_by;
 use crate::records::{EVALUATION, Evaluation, TRIAL, TrialFile, read_json};

@@ -5,24 +5,21 @@ use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 use drex_core::{ASSUMED_FRICTION, Object, fsutil};
-use drex_grasp::Grasp;
 use drex_mesh::{AssetOptions, build_asset};
 use drex_robot::Robot;
 use drex_splat::usage;
-use drex_trial::{Verdict, find_grasp_watched};
+use drex_trial::find_grasp_watched;
 use serde::{Deserialize, Serialize};
 
 use super::journal::Entry;
 use super::list::{FindTask, Item, Task};
 use super::row::{Row, RunRecord};
+use super::search::{self, SearchFile};
 use crate::lock::{Inputs, digest_of};
 use crate::manifest::LengthUnit;
 use crate::progress::flow;
-use crate::records::{read_json, write_json};
+use crate::records::write_json;
 use crate::{Error, Progress, Result, RunOptions, Stage, Twin, with_torque_cap};
-
-/// Version of the layout of a found grasp's file.
-const SCHEMA: u32 = 1;
 
 /// An item with all that is needed to do it, as a scheduler carries it to a worker.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -39,22 +36,6 @@ pub struct Request {
     pub seed: Option<u64>,
     /// Address space that the process of the item may take, bytes; without a limit if absent.
     pub max_memory_bytes: Option<u64>,
-}
-
-/// `grasps/NAME.json` of a batch: what a search found, and from what.
-#[derive(Debug, Serialize, Deserialize)]
-pub(super) struct SearchFile {
-    schema: u32,
-    /// Digest of all that it depends on.
-    inputs_sha256: String,
-    mesh: String,
-    mass_kg: f64,
-    pub(super) friction: f64,
-    /// Absent if none holds; so is all that follows.
-    pub(super) grasp: Option<Grasp>,
-    pub(super) grip_force_n: Option<f64>,
-    pub(super) held: Option<usize>,
-    pub(super) verdicts: Option<Vec<Verdict>>,
 }
 
 /// Does items, and keeps the models of hands and the last mesh for the next ones.
@@ -101,7 +82,7 @@ impl Runner {
     fn find(&mut self, item: &Item, task: &FindTask, request: &Request, progress: &dyn Progress) -> Result<Row> {
         let (path, inputs_sha256) = (request.search_path()?, request.search_inputs(task)?);
         let seed = item.seed(request.seed);
-        if let Some(known) = current_search(&path, &inputs_sha256) {
+        if let Some(known) = SearchFile::current(&path, &inputs_sha256) {
             return Ok(Row::of_search(item, task, seed, &known));
         }
         let friction = task.friction.unwrap_or(ASSUMED_FRICTION);
@@ -117,7 +98,7 @@ impl Runner {
         let found = found?;
         let mesh = fsutil::relative_path(&task.mesh, &request.base);
         let file = SearchFile {
-            schema: SCHEMA,
+            schema: search::SCHEMA,
             inputs_sha256,
             mesh: mesh.to_string_lossy().into_owned(),
             mass_kg: task.mass_kg,
@@ -179,7 +160,7 @@ impl Request {
     pub(super) fn is_current(&self, options: &RunOptions) -> Result<bool> {
         match &self.item.task {
             Task::Twin(folder) => Twin::open(folder)?.with_seed(self.seed).is_current(&self.options(options)?),
-            Task::Find(task) => Ok(current_search(&self.search_path()?, &self.search_inputs(task)?).is_some()),
+            Task::Find(task) => Ok(SearchFile::current(&self.search_path()?, &self.search_inputs(task)?).is_some()),
         }
     }
 
@@ -234,12 +215,6 @@ fn twin(item: &Item, folder: &Path, request: &Request, options: &RunOptions, pro
     let options = request.options(options)?;
     twin.run(&options, progress)?;
     Row::of_twin(item, &twin, &twin.stages(&options))
-}
-
-/// What the file says that a search found, if it was made from these inputs.
-fn current_search(path: &Path, inputs_sha256: &str) -> Option<SearchFile> {
-    let file: Option<SearchFile> = read_json(path).ok();
-    file.filter(|file| file.schema == SCHEMA && file.inputs_sha256 == inputs_sha256)
 }
 
 #[cfg(test)]
