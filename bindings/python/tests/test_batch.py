@@ -10,7 +10,7 @@ import threading
 import unittest
 
 import drex
-from support import PROGRAM, TIN_MESH, Case, files, twins
+from support import DATA, PROGRAM, TIN_MESH, Case, files, twins
 
 
 class Batches(Case):
@@ -74,6 +74,23 @@ class Batches(Case):
         self.assertEqual(file.stat().st_mtime_ns, before)
         self.assertNotEqual(runner.run(batch.requests(seed=3)[0])["seed"], rows[0]["seed"])
         self.assertNotEqual(file.stat().st_mtime_ns, before)
+
+    def test_what_is_kept_is_not_taken_for_another(self):
+        runner = drex.Runner()
+        effort = "masses_kg = [0.2]\ncandidates = 1000\nsimulated = 1\ntrials = 1\n"
+
+        def found(name, rest):
+            folder = self.folder / name
+            folder.mkdir()
+            (folder / "list.toml").write_text(f'schema = 1\n[[grasps]]\nmeshes = ["{TIN_MESH}"]\n{effort}{rest}')
+            return lambda: runner.run(drex.Batch.open(folder / "list.toml").requests()[0])
+
+        # A hand of the same name beside another list, and the same mesh in another unit.
+        with_hand = found("with", 'hands = ["hand.xml"]')
+        shutil.copy(DATA.parent / "crates" / "drex-robot" / "models" / "leap_right.xml", self.folder / "with" / "hand.xml")
+        self.assertEqual(with_hand()["verdict"], "found")
+        self.assertIn("hand.xml", found("without", 'hands = ["hand.xml"]')()["error"])
+        self.assertNotEqual(found("tiny", 'unit = "mm"\nhands = ["leap_right"]')()["verdict"], "found")
 
     def test_a_lost_item_has_a_row(self):
         folder = twins(self.folder / "many", 2)
