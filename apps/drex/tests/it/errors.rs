@@ -4,6 +4,7 @@
 use std::collections::BTreeSet;
 use std::fs;
 use std::path::{Path, PathBuf};
+use std::process::{Command, Stdio};
 
 use crate::common::{copy_tree, tin_data};
 
@@ -84,6 +85,10 @@ const CASES: &[Case] = &[
     ("hw emulate", &["leap", "--wall", "knee=1", "--seconds", "1"], 1, &["no joint \"knee\"", "there are if_mcp"]),
     ("hw emulate", &["leap", "--link", "notes.txt", "--seconds", "1"], 1, &["notes.txt", "check that"]),
     ("run", &["nowhere"], 1, &["nowhere", "give a twin.toml or the folder that holds it"]),
+    ("batch", &["empty"], 1, &["empty names no twin and no mesh", "a folder with a twin.toml"]),
+    ("batch item", &[], 1, &["standard input holds no request", "`drex batch`"]),
+    ("batch merge", &["notes.txt"], 1, &["notes.txt", "line 1"]),
+    ("batch report", &["tin"], 1, &["tin is one twin", "use drex run"]),
     ("report", &["empty"], 1, &["empty/twin.toml", "docs/formats.md"]),
     ("demo", &["--out", "notes.txt"], 1, &["notes.txt", "choose another place"]),
     ("import d-rex", &["nowhere", "--out", "new"], 1, &["cannot list nowhere", "check the path"]),
@@ -103,13 +108,14 @@ const CASES: &[Case] = &[
 
 /// Runs the program in a folder.
 fn drex_in(folder: &Path, arguments: &[&str]) -> (i32, String, String) {
-    let mut command = std::process::Command::new(env!("CARGO_BIN_EXE_drex"));
-    let output = command.current_dir(folder).args(arguments).env_remove("RUST_BACKTRACE").output().unwrap();
+    let mut command = Command::new(env!("CARGO_BIN_EXE_drex"));
+    let output =
+        command.current_dir(folder).args(arguments).env_remove("RUST_BACKTRACE").stdin(Stdio::null()).output().unwrap();
     let text = |bytes: &[u8]| String::from_utf8_lossy(bytes).into_owned();
     (output.status.code().unwrap_or(-1), text(&output.stdout), text(&output.stderr))
 }
 
-/// Every subcommand without subcommands of its own, as `drex help` and the help of groups list them.
+/// Every subcommand that can be run without naming one of its own, as `drex help` and the help of groups list them.
 fn subcommands(folder: &Path) -> BTreeSet<String> {
     // What `drex man` writes a page for is the tree of the parser itself, whatever the help looks like.
     let (code, _, message) = drex_in(folder, &["man", "--out", "pages"]);
@@ -119,9 +125,10 @@ fn subcommands(folder: &Path) -> BTreeSet<String> {
         .map(|page| page.unwrap().file_name().into_string().unwrap())
         .map(|name| name.strip_suffix(".1").unwrap().to_owned())
         .collect();
-    // `drex-hw-calibrate-zero` is not inside of `drex-hw-calibrate`.
+    // `drex-hw-calibrate-zero` is not inside of `drex-hw-calibrate`; `drex batch` works without any of its subcommands.
     let is_group = |name: &str| {
-        fs::read_to_string(folder.join("pages").join(format!("{name}.1"))).unwrap().contains(".SH SUBCOMMANDS")
+        let page = fs::read_to_string(folder.join("pages").join(format!("{name}.1"))).unwrap();
+        page.contains("<\\fIsubcommands\\fR>")
     };
     let leaves: BTreeSet<String> = names.iter().filter(|name| !is_group(name)).cloned().collect();
     fs::remove_dir_all(folder.join("pages")).unwrap();

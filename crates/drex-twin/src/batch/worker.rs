@@ -184,8 +184,9 @@ pub fn answer_request(options: RunOptions, progress: &dyn Progress) -> Result<()
     let mut input = BufReader::new(std::io::stdin());
     let mut line = String::new();
     input.read_line(&mut line).context("cannot read the request")?;
-    let request: Request =
-        serde_json::from_str(&line).map_err(Error::json).context("standard input holds no request")?;
+    let request: Request = serde_json::from_str(&line)
+        .map_err(Error::json)
+        .context("standard input holds no request, which `drex batch` writes: run that instead")?;
     std::thread::Builder::new().name("parent".into()).spawn(move || end_with_parent(input))?;
     limit_memory(&request);
     let reply = match Runner::new(options).run(&request, progress) {
