@@ -6,7 +6,7 @@ use std::path::Path;
 
 use drex_core::fsutil;
 use drex_trial::wilson;
-use drex_twin::batch::{Batch, Item, Status, Task};
+use drex_twin::batch::{Batch, Item, RESULTS, Status, Task};
 
 use super::measures::{Measured, digits, duration, grams, grams_between, items_text, percent_between, positive};
 use super::outliers::{Outliers, Quantity};
@@ -14,8 +14,9 @@ use super::thumbnails::{HEIGHT, Thumbnails, WIDTH};
 use crate::page::{Page, source};
 use crate::picture::plot::escape;
 
-/// Items with a picture.
+/// Items with a picture, and with a card: each picture takes 6 kB of the page, each card 0.7 kB, and browsers must hold them all.
 pub const MOST_PICTURES: usize = 1000;
+pub const MOST_CARDS: usize = 10_000;
 /// How the cards look.
 const STYLE: &str = include_str!("gallery.css");
 /// Sorts and filters them.
@@ -32,8 +33,17 @@ const KEYS: [(&str, &str); 8] = [
     ("seconds", "seconds"),
 ];
 
-/// The section with all items.
-pub fn section(page: &mut Page, batch: &Batch, items: &[Measured<'_>], outliers: &Outliers) {
+/// The items that have cards, in their order: failures, outliers, names.
+pub fn order(items: &[Measured<'_>], outliers: &Outliers) -> Vec<usize> {
+    let stands_out: BTreeSet<usize> = outliers.found.iter().map(|o| o.row).collect();
+    let mut order: Vec<usize> = (0..items.len()).collect();
+    order.sort_by_key(|i| (items[*i].row.status != Status::Failed, !stands_out.contains(i), *i));
+    order.truncate(MOST_CARDS);
+    order
+}
+
+/// The section with all items, of which those in `order` have cards.
+pub fn section(page: &mut Page, batch: &Batch, items: &[Measured<'_>], outliers: &Outliers, order: &[usize]) {
     page.section("All items");
     if items.is_empty() {
         page.paragraph("The batch has no items.");
@@ -43,15 +53,18 @@ pub fn section(page: &mut Page, batch: &Batch, items: &[Measured<'_>], outliers:
     for outlier in &outliers.found {
         stands_out.entry(outlier.row).or_default().push(outlier.quantity);
     }
-    let mut order: Vec<usize> = (0..items.len()).collect();
-    order.sort_by_key(|i| (items[*i].row.status != Status::Failed, !stands_out.contains_key(i), *i));
     let by_name: BTreeMap<&str, &Item> = batch.items().iter().map(|item| (item.name.as_str(), item)).collect();
     let item_of = |i: usize| by_name.get(items[i].row.name.as_str()).copied();
     let pictured: BTreeSet<usize> = order.iter().copied().take(MOST_PICTURES).collect();
     let thumbnails = Thumbnails::draw(pictured.iter().filter_map(|i| item_of(*i)));
     if items.len() > MOST_PICTURES {
+        let cards = if items.len() > order.len() {
+            format!(" and the first {} have cards; {RESULTS} has all", order.len())
+        } else {
+            String::new()
+        };
         page.paragraph(&format!(
-            "The first {MOST_PICTURES} of {} have pictures, failures and outliers before others; more would make this page too large.",
+            "The first {MOST_PICTURES} of {} have pictures{cards}. Failures and outliers come before others; more would make this page too large.",
             items_text(items.len())
         ));
     }

@@ -24,6 +24,9 @@ use crate::picture::plot::{Bar, Plot, escape};
 const PAGE: &str = "report.html";
 /// With more failures than these, those with the same reason are told together.
 const MOST_ALONE: usize = 20;
+/// Reasons of failures that are told, the most frequent first, and names for each.
+const MOST_REASONS: usize = 100;
+const MOST_NAMES: usize = 100;
 /// Values whose largest is more than this many times the smallest are drawn on a logarithmic axis.
 const WIDE: f64 = 8.0;
 
@@ -44,10 +47,12 @@ fn page(batch: &Batch, table: &Table) -> String {
     let outliers = outliers::find(&items);
     let mut page = Page::new(&format!("Batch of {}", items_text(items.len())));
     figures(&mut page, table, &items);
-    failures(&mut page, &items);
-    standing_out(&mut page, &items, &outliers);
+    let order = gallery::order(&items, &outliers);
+    let with_card: BTreeSet<usize> = order.iter().copied().collect();
+    failures(&mut page, &items, &with_card);
+    standing_out(&mut page, &items, &outliers, &with_card);
     distributions(&mut page, &items);
-    gallery::section(&mut page, batch, &items, &outliers);
+    gallery::section(&mut page, batch, &items, &outliers, &order);
     provenance(&mut page, batch, &items);
     page.to_html()
 }
@@ -106,13 +111,14 @@ fn figures(page: &mut Page, table: &Table, items: &[Measured<'_>]) {
     page.figures(&all);
 }
 
-/// A link to the card of an item.
-fn card_link(index: usize, name: &str) -> String {
-    format!("<a href=\"#i{index}\">{}</a>", gallery::name_html(name))
+/// The name of an item, as a link to its card where it has one.
+fn card_link(index: usize, name: &str, with_card: &BTreeSet<usize>) -> String {
+    let name = gallery::name_html(name);
+    if with_card.contains(&index) { format!("<a href=\"#i{index}\">{name}</a>") } else { name }
 }
 
 /// What failed, and why.
-fn failures(page: &mut Page, items: &[Measured<'_>]) {
+fn failures(page: &mut Page, items: &[Measured<'_>], with_card: &BTreeSet<usize>) {
     page.section("Failures");
     let failed: Vec<(usize, &Measured<'_>)> =
         items.iter().enumerate().filter(|(_, i)| i.row.status == Status::Failed).collect();
@@ -126,19 +132,27 @@ fn failures(page: &mut Page, items: &[Measured<'_>]) {
         items_text(items.len())
     ));
     if failed.len() <= MOST_ALONE {
-        let row = |(i, item): &(usize, &Measured<'_>)| vec![card_link(*i, &item.row.name), escape(&item.row.error)];
+        let row = |(i, item): &(usize, &Measured<'_>)| vec![card_link(*i, &item.row.name, with_card), escape(&item.row.error)];
         page.table_of_html(&["item", "why it failed"], &failed.iter().map(row).collect::<Vec<_>>());
         return;
     }
     let mut reasons: BTreeMap<String, Vec<String>> = BTreeMap::new();
     for (i, item) in failed {
         let reason = without_name(&item.row.error, &item.row.name);
-        reasons.entry(reason).or_default().push(card_link(i, &item.row.name));
+        reasons.entry(reason).or_default().push(card_link(i, &item.row.name, with_card));
     }
     let mut reasons: Vec<_> = reasons.into_iter().collect();
     reasons.sort_by_key(|(_, names)| std::cmp::Reverse(names.len()));
-    let row = |(reason, names): (String, Vec<String>)| vec![names.len().to_string(), escape(&reason), names.join(", ")];
-    page.table_of_html(&["items", "why they failed", "which"], &reasons.into_iter().map(row).collect::<Vec<_>>());
+    if reasons.len() > MOST_REASONS {
+        page.paragraph(&format!("The {MOST_REASONS} most frequent of {} reasons; {RESULTS} has all.", reasons.len()));
+    }
+    let row = |(reason, names): (String, Vec<String>)| {
+        let more = names.len().saturating_sub(MOST_NAMES);
+        let more = if more > 0 { format!(" and {more} more, which {RESULTS} names") } else { String::new() };
+        vec![names.len().to_string(), escape(&reason), names[..names.len().min(MOST_NAMES)].join(", ") + &more]
+    };
+    let rows: Vec<_> = reasons.into_iter().take(MOST_REASONS).map(row).collect();
+    page.table_of_html(&["items", "why they failed", "which"], &rows);
 }
 
 /// A reason with NAME in place of the item's name, so that the same reason reads the same for all items.
@@ -156,7 +170,7 @@ fn without_name(reason: &str, name: &str) -> String {
 }
 
 /// What stands out.
-fn standing_out(page: &mut Page, items: &[Measured<'_>], outliers: &Outliers) {
+fn standing_out(page: &mut Page, items: &[Measured<'_>], outliers: &Outliers, with_card: &BTreeSet<usize>) {
     page.section("Outliers");
     let few = |(task, quantity, n): &(String, Quantity, usize)| {
         format!("{}: too few to tell, only {} of the task \"{task}\" with a value", quantity.name(), items_text(*n))
@@ -170,7 +184,7 @@ fn standing_out(page: &mut Page, items: &[Measured<'_>], outliers: &Outliers) {
         page.paragraph(&format!("No item stands out in {}.", names.join(", ")));
     } else {
         let row = |o: &outliers::Outlier| {
-            let name = card_link(o.row, &items[o.row].row.name);
+            let name = card_link(o.row, &items[o.row].row.name, with_card);
             let host = match (o.quantity, items[o.row].run) {
                 (Quantity::Seconds, Some(run)) => {
                     format!(" on {}, {} thread{}", run.host, run.threads, if run.threads == 1 { "" } else { "s" })

@@ -258,6 +258,23 @@ fn pictures_go_to_the_first_thousand() {
 }
 
 #[test]
+fn a_hundred_thousand_failures_stay_small_and_no_link_leads_nowhere() {
+    let rows = (0..100_000).map(|i| Row {
+        status: Status::Failed,
+        error: ["no mesh".to_owned(), format!("reason {}", i % 300)][i % 2].clone(),
+        ..done(&format!("cup-{i:06}"))
+    });
+    let html = page_of(&table(rows.collect()));
+    assert!(html.len() < 20_000_000, "{} bytes", html.len());
+    assert_eq!(html.matches("<li class=\"card").count(), gallery::MOST_CARDS);
+    assert!(html.contains("the first 10000 have cards"));
+    assert!(html.contains(" and 49900 more") && html.contains("most frequent of 151 reasons"), "{}", &html[..3000]);
+    let ids: BTreeSet<&str> = html.split(" id=\"i").skip(1).map(|s| s.split('"').next().unwrap()).collect();
+    let links: Vec<&str> = html.split("href=\"#i").skip(1).map(|s| s.split('"').next().unwrap()).collect();
+    assert!(links.len() > 100 && links.iter().all(|link| ids.contains(link)));
+}
+
+#[test]
 fn three_hundred_items_stay_small_and_are_the_same_with_any_number_of_threads() {
     let names = names(300);
     let names: Vec<&str> = names.iter().map(String::as_str).collect();

@@ -2,7 +2,7 @@
 //! loses nothing but the line that it was writing.
 
 use std::fs::{File, OpenOptions};
-use std::io::{Read, Seek, SeekFrom, Write};
+use std::io::{BufRead, BufReader, ErrorKind, Read, Seek, SeekFrom, Write};
 use std::path::Path;
 use std::sync::{Mutex, PoisonError};
 
@@ -62,13 +62,21 @@ impl Journal {
     }
 }
 
-/// The entries of the journal at `path`, in the order in which they were written; none where there is no journal. A line that cannot be read
-/// is left out: that item is done again.
-pub(super) fn read(path: &Path) -> Result<Vec<Entry>> {
-    if !path.exists() {
-        return Ok(Vec::new());
+/// Gives each entry of the journal at `path` to `each`, in the order in which they were written; none where there is no journal. A line that
+/// cannot be read is left out: that item is done again.
+pub(super) fn read(path: &Path, mut each: impl FnMut(Entry)) -> Result<()> {
+    let doing = || format!("cannot read {}", path.display());
+    let mut file = match File::open(path) {
+        Err(error) if error.kind() == ErrorKind::NotFound => return Ok(()),
+        file => BufReader::new(file.with_context(doing)?),
+    };
+    // Line by line: a journal may be larger than what is kept of it.
+    let mut line = Vec::new();
+    while file.read_until(b'\n', &mut line).with_context(doing)? > 0 {
+        if let Ok(entry) = serde_json::from_slice(&line) {
+            each(entry);
+        }
+        line.clear();
     }
-    // Not bounded as other files are: nobody else writes it, and a batch may have many items.
-    let bytes = std::fs::read(path).with_context(|| format!("cannot read {}", path.display()))?;
-    Ok(bytes.split(|b| *b == b'\n').filter_map(|line| serde_json::from_slice(line).ok()).collect())
+    Ok(())
 }

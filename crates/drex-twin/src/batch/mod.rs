@@ -26,6 +26,7 @@ use self::journal::{JOURNAL, Journal};
 pub use self::list::{FindTask, Item, Shard, Task};
 pub use self::row::{Row, RunRecord, Status};
 pub use self::runner::{Request, Runner};
+use self::table::LastEntries;
 pub use self::table::{RESULTS, RUNS, Table};
 pub use self::worker::{Plan, Program, Watch, answer_request};
 use crate::{Result, RunOptions};
@@ -146,12 +147,11 @@ impl Batch {
         options.stages.as_deref().map_or(Ok(Vec::new()), runner::stages)?;
         let folder = self.folder(options);
         let journal = Journal::open(&folder)?;
-        let entries = self.entries(options.shard)?;
-        let known = table::last(&entries);
+        let known = self.last_entries(options.shard)?;
         let (mut todo, mut plan) = (Vec::new(), Plan { todo: 0, current: 0, failed_before: 0 });
         let requests = self.requests(options);
         // One that cannot be read any more says so when it is done again.
-        let is_current = |request: &Request| match known.get(request.item.name.as_str()) {
+        let is_current = |request: &Request| match known.get(&request.item.name) {
             Some((_, entry)) if entry.row.status == Status::Done => {
                 request.is_current(&options.run).unwrap_or_default()
             }
@@ -159,7 +159,7 @@ impl Batch {
         };
         let current: Vec<bool> = requests.par_iter().map(is_current).collect();
         for (request, current) in requests.into_iter().zip(current) {
-            let failed = known.get(request.item.name.as_str()).is_some_and(|(_, e)| e.row.status == Status::Failed);
+            let failed = known.get(&request.item.name).is_some_and(|(_, e)| e.row.status == Status::Failed);
             if current {
                 plan.current += 1;
             } else if failed && !options.retry_failed {
@@ -172,7 +172,7 @@ impl Batch {
         watch.begins(&plan);
         let busy = worker::work(&todo, options.jobs.max(1), program, &folder.join("logs"), &journal, watch)?;
         let items: Vec<Item> = self.shard(options).cloned().collect();
-        let table = Table::of(&items, options.seed, &self.entries(options.shard)?);
+        let table = Table::of(&items, options.seed, self.last_entries(options.shard)?);
         let results = table.write(&folder)?;
         Ok(Summary { table, results, plan, busy })
     }
@@ -193,7 +193,7 @@ impl Batch {
     /// # Errors
     /// If a journal cannot be read.
     pub fn table(&self) -> Result<Table> {
-        Ok(Table::of(&self.items, None, &self.entries(None)?))
+        Ok(Table::of(&self.items, None, self.last_entries(None)?))
     }
 
     fn shard<'a>(&'a self, options: &BatchOptions) -> impl Iterator<Item = &'a Item> {
@@ -206,8 +206,8 @@ impl Batch {
         options.shard.map_or_else(|| self.out.clone(), |shard| self.out.join(SHARDS).join(shard.folder()))
     }
 
-    /// What the journals say that a run with these options goes on from: of a shard its own, of the whole batch all.
-    fn entries(&self, shard: Option<Shard>) -> Result<Vec<Entry>> {
+    /// What a run goes on from: that of a shard from its own journal and the main one, that of the whole batch from all.
+    fn last_entries(&self, shard: Option<Shard>) -> Result<LastEntries> {
         let shards = self.out.join(SHARDS);
         let mut folders = vec![self.out.clone()];
         match shard {
@@ -215,7 +215,10 @@ impl Batch {
             None if shards.is_dir() => folders.extend(list::listed(&shards)?),
             None => {}
         }
-        let entries = folders.iter().map(|folder| journal::read(&folder.join(JOURNAL))).collect::<Result<Vec<_>>>()?;
-        Ok(entries.into_iter().flatten().collect())
+        let mut last = LastEntries::new();
+        for folder in folders {
+            journal::read(&folder.join(JOURNAL), |entry| table::add(&mut last, entry))?;
+        }
+        Ok(last)
     }
 }

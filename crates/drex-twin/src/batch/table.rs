@@ -1,6 +1,7 @@
 //! The two tables of a batch: what was found, and what it took.
 
 use std::collections::BTreeMap;
+use std::collections::btree_map::Entry::{Occupied, Vacant};
 use std::path::{Path, PathBuf};
 
 use drex_core::fsutil;
@@ -26,6 +27,9 @@ pub struct Table {
     pub runs: BTreeMap<String, (usize, RunRecord)>,
 }
 
+/// By the names of items: how often each has ended, and the last of its entries in any journal.
+pub(super) type LastEntries = BTreeMap<String, (usize, Entry)>;
+
 /// A row of the table [`RUNS`].
 #[derive(Serialize)]
 struct RunRow<'a> {
@@ -44,18 +48,19 @@ impl Table {
         Self { rows, runs }
     }
 
-    /// The last entry of each item in any journal, or a pending row where there is none.
-    pub(super) fn of(items: &[Item], seed: Option<u64>, entries: &[Entry]) -> Self {
-        let last = last(entries);
-        let row = |item: &Item| match last.get(item.name.as_str()) {
-            Some((_, entry)) => entry.row.clone(),
-            None => Row::pending(item, item.seed(seed)),
-        };
-        let runs = items.iter().filter_map(|item| last.get(item.name.as_str()));
-        Self {
-            rows: items.iter().map(row).collect(),
-            runs: runs.map(|(attempts, e)| (e.row.name.clone(), (*attempts, e.run.clone()))).collect(),
+    /// The last entry of each item, or a pending row where there is none.
+    pub(super) fn of(items: &[Item], seed: Option<u64>, mut last: LastEntries) -> Self {
+        let (mut rows, mut runs) = (Vec::with_capacity(items.len()), BTreeMap::new());
+        for item in items {
+            rows.push(match last.remove(&item.name) {
+                Some((attempts, entry)) => {
+                    runs.insert(item.name.clone(), (attempts, entry.run));
+                    entry.row
+                }
+                None => Row::pending(item, item.seed(seed)),
+            });
         }
+        Self { rows, runs }
     }
 
     /// Number of rows with this status.
@@ -84,17 +89,20 @@ impl Table {
     }
 }
 
-/// The last entry of each name, with the number of its entries.
-pub(super) fn last(entries: &[Entry]) -> BTreeMap<&str, (usize, &Entry)> {
-    let mut last = BTreeMap::new();
-    for entry in entries {
-        let (attempts, known) = last.entry(entry.row.name.as_str()).or_insert((0, entry));
-        *attempts += 1;
-        if entry.run.ended_unix_s >= known.run.ended_unix_s {
-            *known = entry;
+/// Takes account of one more entry.
+pub(super) fn add(last: &mut LastEntries, entry: Entry) {
+    match last.entry(entry.row.name.clone()) {
+        Vacant(place) => {
+            place.insert((1, entry));
+        }
+        Occupied(mut place) => {
+            let (attempts, known) = place.get_mut();
+            *attempts += 1;
+            if entry.run.ended_unix_s >= known.run.ended_unix_s {
+                *known = entry;
+            }
         }
     }
-    last
 }
 
 fn csv(mut rows: impl Iterator<Item = impl Serialize>) -> Result<Vec<u8>> {
