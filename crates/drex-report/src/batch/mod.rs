@@ -132,7 +132,9 @@ fn failures(page: &mut Page, items: &[Measured<'_>], with_card: &BTreeSet<usize>
         items_text(items.len())
     ));
     if failed.len() <= MOST_ALONE {
-        let row = |(i, item): &(usize, &Measured<'_>)| vec![card_link(*i, &item.row.name, with_card), escape(&item.row.error)];
+        let row = |(i, item): &(usize, &Measured<'_>)| {
+            vec![card_link(*i, &item.row.name, with_card), escape(&item.row.error)]
+        };
         page.table_of_html(&["item", "why it failed"], &failed.iter().map(row).collect::<Vec<_>>());
         return;
     }
