@@ -22,8 +22,8 @@ import numpy as np
 import drex
 from support import PROGRAM, TIN_MESH, Case, files, twins
 
-# Before ray is imported.
-os.environ.update(RAY_USAGE_STATS_ENABLED="0", RAY_AUTH_MODE="disabled")
+# Before ray is imported. Its workers give way to all other programs unless told otherwise: on a busy machine they would get next to no time.
+os.environ.update(RAY_USAGE_STATS_ENABLED="0", RAY_AUTH_MODE="disabled", RAY_worker_niceness="0")
 try:
     import fsspec
     import pyarrow as pa
