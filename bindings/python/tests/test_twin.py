@@ -156,10 +156,10 @@ class Twins(Case):
             pass
 
         def stop(part):
-            if part >= 0.75:
+            if part > 0.5:
                 raise Enough
 
-        # The last of four stages learns, for an hour if nothing stopped it.
+        # The last of three stages learns, for an hour if nothing stopped it.
         with self.assertRaises(Enough):
             twin.run(["train"], stop)
         # The run that was stopped keeps the folder until it hears of it.
