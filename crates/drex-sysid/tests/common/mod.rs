@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
-use std::sync::{Arc, Mutex};
+use std::sync::{Arc, Mutex, OnceLock};
 
 use drex_core::mesh::convex_hull;
 use drex_core::trajectory::PoseNoise;
@@ -40,14 +40,11 @@ pub fn object_of(mesh: &TriMesh) -> Object {
     asset_from_mesh(mesh, &AssetOptions::in_metres()).unwrap().to_exact_object("").unwrap()
 }
 
-/// The same of a mesh file; each is made once, since scans take seconds.
+/// The same of a mesh file; each is made once, also where two tests ask for it at once, since scans take up to half a minute.
 pub fn object_at(mesh: &Path) -> Object {
-    static MADE: Mutex<BTreeMap<PathBuf, Object>> = Mutex::new(BTreeMap::new());
-    if let Some(made) = MADE.lock().unwrap().get(mesh) {
-        return made.clone();
-    }
-    let object = object_of(&TriMesh::read(mesh).unwrap());
-    MADE.lock().unwrap().entry(mesh.to_owned()).or_insert(object).clone()
+    static MADE: Mutex<BTreeMap<PathBuf, Arc<OnceLock<Object>>>> = Mutex::new(BTreeMap::new());
+    let made = MADE.lock().unwrap().entry(mesh.canonicalize().unwrap()).or_default().clone();
+    made.get_or_init(|| object_of(&TriMesh::read(mesh).unwrap())).clone()
 }
 
 /// A block of 5 x 6 x 8 cm.

@@ -1,5 +1,4 @@
 //! The torque-current model: both directions, fits to noisy pairs, refusals, files.
-#![allow(clippy::unwrap_used)] // a test may stop at the first surprise
 
 use drex_hw::Error;
 use drex_hw::torque_current::{Approach, Curve, Nominal, Provenance, Sample, TorqueCurrentModel, fit};

@@ -1,5 +1,4 @@
 //! Grasps with the emulated Allegro hand, in its own time.
-#![allow(clippy::unwrap_used)] // a test may stop at the first surprise
 
 use std::sync::{Arc, Mutex};
 

@@ -1,5 +1,4 @@
 //! Grasps with the emulated LEAP hand under the control loop, in its own time: currents, heat, an unplugged port.
-#![allow(clippy::unwrap_used)] // a test may stop at the first surprise
 
 use std::cell::Cell;
 use std::time::Duration;

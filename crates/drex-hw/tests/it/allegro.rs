@@ -1,5 +1,4 @@
 //! The Allegro driver with an emulated hand: start, stop, limits, faults.
-#![allow(clippy::unwrap_used)] // a test may stop at the first surprise
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};

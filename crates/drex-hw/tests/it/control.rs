@@ -1,5 +1,4 @@
 //! The loop on hands that are not there: how it ends, what it counts, what it writes down.
-#![allow(clippy::unwrap_used)] // a test may stop at the first surprise
 
 use std::ops::ControlFlow;
 use std::sync::{Arc, Mutex};

@@ -1,6 +1,5 @@
 //! The Allegro driver over slcan at a pseudo-terminal, in real time.
 #![cfg(unix)]
-#![allow(clippy::unwrap_used)] // a test may stop at the first surprise
 
 use std::time::{Duration, Instant};
 

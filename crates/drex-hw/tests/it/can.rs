@@ -1,5 +1,4 @@
 //! CAN in memory and as slcan text: round trips, noise, pieces, refusals.
-#![allow(clippy::unwrap_used)] // a test may stop at the first surprise
 
 use std::time::Duration;
 

@@ -1,5 +1,4 @@
 //! From forces to current limits and back, against closed forms.
-#![allow(clippy::unwrap_used)] // a test may stop at the first surprise
 
 use drex_hw::torque_current::{
     ContactDirection, ContactForce, LimitMode, LimitOptions, LimitRamp, Nominal, RampOptions, TorqueCurrentModel,

@@ -1,5 +1,4 @@
 //! Torque off, and what is said of motors that do not confirm it.
-#![allow(clippy::unwrap_used)] // a test may stop at the first surprise
 
 use std::cell::Cell;
 use std::time::Duration;
