@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use crate::common::{block, box_mesh, normals, object_at, object_of, pushed_by, shared};
+use crate::common::{box_mesh, normals, object_at, object_of, pushed_by, shared};
 use drex_core::{Object, Pose, Trajectory, TriMesh};
 use drex_recording::JointLog;
 use drex_recording::convert::allegro_run;
@@ -536,8 +536,7 @@ fn intervals_of_real_objects_hold_the_weighed_mass() {
 fn a_joint_log_of_another_hand_is_refused_by_name() {
     let Some(all) = real_runs() else { return };
     let (name, mut recording, mut push) = all.into_iter().next().unwrap();
-    // Refused before anything is simulated: any object will do.
-    let object = block();
+    let object = object_at(&recording.mesh);
     let mut message = |push: &HandPush| {
         recording.drive = Drive::Hand(push.clone());
         identify(std::slice::from_ref(&recording), &object, &IdentifyOptions::default()).unwrap_err().to_string()
@@ -555,7 +554,7 @@ fn a_joint_log_of_another_hand_is_refused_by_name() {
 fn efforts_that_cannot_be_are_no_answer() {
     let Some(all) = real_runs() else { return };
     let (_, recording, _) = all.into_iter().find(|r| r.0 == "ketchup1").unwrap();
-    let object = block();
+    let object = object_at(&recording.mesh);
     let scaled = |factor: f64| {
         let mut other = recording.clone();
         if let Drive::Hand(hand) = &mut other.drive {

@@ -253,7 +253,7 @@ fn relations_hold_for_scans_that_stand_firmly() {
 }
 
 #[test]
-#[ignore = "minutes"]
+#[ignore = "minutes: all seven relations of all pushes, of which the other tests take some each"]
 fn every_relation_holds_for_every_push() {
     let all = RELATIONS.len();
     let found = [of_recordings(all), of_scans(FIRM, all), disagreements("demo", &of_photos(), &RELATIONS)];
