@@ -4,9 +4,10 @@ use drex_core::stats::upper_median;
 use std::collections::BTreeMap;
 
 use anyhow::Result;
-use drex_trial::{Assumed, Condition, Evaluation, Evaluator, GripForce, Interval, NoCommand, Verdict, wilson};
-use drex_twin::learn::{Learned, Proposal};
-use drex_twin::rank;
+use drex_trial::{
+    Assumed, Condition, Evaluation, Evaluator, GraspPath, Interval, NoCommand, Proposal, Verdict, wilson,
+};
+use drex_twin::learn::Learned;
 use nalgebra::{Point3, Vector3};
 use rayon::prelude::*;
 use serde::Serialize;
@@ -30,17 +31,6 @@ pub enum AssumedMass {
     Always(f64),
 }
 
-/// How hard the hand grips.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub enum Force {
-    /// As the actor says.
-    Actor,
-    /// As the cone programme says for what the hand is told.
-    Law,
-    /// As the cone programme says for what is true.
-    Oracle,
-}
-
 /// By which mass a grip is chosen.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Choice {
@@ -56,7 +46,8 @@ pub struct Setting {
     /// True mass, kg.
     pub mass_kg: f64,
     pub told: AssumedMass,
-    pub force: Force,
+    /// From proposals to a command.
+    pub path: GraspPath,
     /// By which mass a grip is chosen among those proposed.
     pub choice: Choice,
 }
@@ -115,9 +106,8 @@ impl<E: Evaluator> Cell<'_, E> {
     /// # Errors
     /// If something cannot be simulated.
     pub fn run(&self, conditions: &[Condition]) -> Result<Row> {
-        let grips = self.grips(conditions)?;
         let both: Vec<(Evaluation, Option<Evaluation>)> =
-            conditions.par_iter().map(|c| self.rollout(c, &grips)).collect::<Result<_>>()?;
+            conditions.par_iter().map(|c| self.rollout(c)).collect::<Result<_>>()?;
         let agreement = self.compare.then(|| agreement(&both));
         let judged: Vec<Evaluation> = both.into_iter().map(|b| b.0).collect();
         let held: Vec<bool> = judged.iter().map(|j| j.verdict == Verdict::Success).collect();
@@ -142,85 +132,41 @@ impl<E: Evaluator> Cell<'_, E> {
         })
     }
 
-    /// The proposals at the mean of the masses and frictions, each with the hand closed on the object. Mass and friction change what the
-    /// network thinks of a grasp and how hard it grips; where the hand goes is asked once for a cell.
-    fn grips(&self, conditions: &[Condition]) -> Result<Vec<(Proposal, E::Closed)>> {
-        let mean = conditions.iter().map(|c| c.friction).sum::<f64>() / conditions.len().max(1) as f64;
-        let mass_kg = match self.setting.choice {
-            Choice::AssumedMass => self.setting.told.mass_kg(self.setting.mass_kg, 0.0),
-            Choice::True => self.setting.mass_kg,
-        };
-        let assumed = Assumed { mass_kg, friction: mean };
-        let proposals = match self.actor {
-            Actor::Policy(policy, points, up) => policy.propose(points, up, &assumed)?,
-            Actor::Always(proposals) => proposals.clone(),
-        };
-        let grip = |p: Proposal| self.evaluator.close(&p.grasp, &assumed).map(|closed| (p, closed)).map_err(Into::into);
-        proposals.into_par_iter().map(grip).collect()
-    }
-
     /// What the evaluator says, and what the engine of the practice says if that is compared and there was a command.
-    fn rollout(
-        &self,
-        condition: &Condition,
-        grips: &[(Proposal, E::Closed)],
-    ) -> Result<(Evaluation, Option<Evaluation>)> {
+    fn rollout(&self, condition: &Condition) -> Result<(Evaluation, Option<Evaluation>)> {
         let truth = condition.truth(self.setting.mass_kg);
-        match self.plan(condition, grips)? {
-            Ok(plan) => {
-                let other = self.compare.then(|| self.evaluator.validate(&plan, &truth)).transpose()?;
-                Ok((self.evaluator.evaluate(&plan, &truth)?, other))
+        match self.plan(condition)? {
+            Ok(command) => {
+                let other = self.compare.then(|| self.evaluator.validate(&command, &truth)).transpose()?;
+                Ok((self.evaluator.evaluate(&command, &truth)?, other))
             }
             Err(reason) => Ok((Evaluation::refused(&reason), None)),
         }
     }
 
-    /// The first grip, as [`rank::sort`] has them, for which the hand has a force.
-    fn plan(&self, condition: &Condition, grips: &[(Proposal, E::Closed)]) -> Result<Result<E::Command, NoCommand>> {
-        let assumed = condition.assumed(self.setting.told.mass_kg(self.setting.mass_kg, condition.mass_error));
-        let chosen_for = match self.setting.choice {
-            Choice::AssumedMass => assumed,
-            Choice::True => condition.assumed(self.setting.mass_kg),
+    /// What the hand is commanded.
+    pub fn plan(&self, condition: &Condition) -> Result<Result<E::Command, NoCommand>> {
+        let Setting { mass_kg, told, path, choice } = &self.setting;
+        let told = condition.assumed(told.mass_kg(*mass_kg, condition.mass_error));
+        let chosen_for = match choice {
+            Choice::AssumedMass => told,
+            Choice::True => condition.assumed(*mass_kg),
         };
-        // The grips at this friction: how probable each is and how hard it grips where it is chosen, and how hard for what is told.
-        let mut order: Vec<(f64, [f64; 2], &E::Closed)> = match self.actor {
-            Actor::Policy(policy, points, up) => {
-                let (by, told) = (policy.propose(points, up, &chosen_for)?, policy.propose(points, up, &assumed)?);
-                let ask = |(p, grip)| {
-                    let (by, told) = (nearest(&by, p).unwrap_or(p), nearest(&told, p).unwrap_or(p));
-                    (by.weight, [by.grip_force_n, told.grip_force_n], grip)
-                };
-                grips.iter().map(|(p, grip)| ask((p, grip))).collect()
-            }
-            Actor::Always(_) => grips.iter().map(|(p, grip)| (p.weight, [p.grip_force_n; 2], grip)).collect(),
-        };
-        rank::sort(&mut order, |o| o.0, |o| o.1[0]);
-        let mut reason = NoCommand::NoContact { touching: 0 };
-        for (_, [by_n, told_n], grip) in order {
-            match self.command(by_n, grip, &chosen_for, condition)? {
-                Ok(plan) if self.setting.choice == Choice::AssumedMass => return Ok(Ok(plan)),
-                // It is this grip, also where there is no force for what is told: cells differ in force alone.
-                Ok(_) => return self.command(told_n, grip, &assumed, condition),
-                Err(why) => reason = why,
-            }
+        let planned = path.plan(self.evaluator, self.actor.propose(&chosen_for)?, &chosen_for)?;
+        if *choice == Choice::AssumedMass || planned.command.is_err() {
+            return Ok(planned.command);
         }
-        Ok(Err(reason))
+        // It is this grip, also where there is no force for what is told: cells differ in force alone.
+        Ok(self.evaluator.command(&planned.closed, &told, path.grip_force(&planned.proposal))?)
     }
+}
 
-    fn command(
-        &self,
-        grip_force_n: f64,
-        grip: &E::Closed,
-        assumed: &Assumed,
-        condition: &Condition,
-    ) -> Result<Result<E::Command, NoCommand>> {
-        let oracle = Assumed { mass_kg: self.setting.mass_kg, friction: condition.friction };
-        let (assumed, grip_force) = match self.setting.force {
-            Force::Actor => (assumed, GripForce::Total(grip_force_n)),
-            Force::Law => (assumed, GripForce::Required),
-            Force::Oracle => (&oracle, GripForce::Required),
-        };
-        Ok(self.evaluator.command(grip, assumed, grip_force)?)
+impl Actor<'_> {
+    fn propose(&self, assumed: &Assumed) -> Result<Vec<Proposal>> {
+        match self {
+            Self::Policy(policy, points, up) => Ok(policy.propose(points, up, assumed)?),
+            Self::Always(proposals) => Ok(proposals.clone()),
+        }
     }
 }
 
@@ -234,17 +180,6 @@ impl AssumedMass {
             Self::Always(kg) => kg,
         }
     }
-}
-
-/// The proposal whose hand is nearest.
-fn nearest<'a>(among: &'a [Proposal], to: &Proposal) -> Option<&'a Proposal> {
-    let far = |p: &Proposal| {
-        let (a, b) = (&p.grasp, &to.grasp);
-        let joints: f64 = a.joints_rad.iter().zip(&b.joints_rad).map(|(a, b)| (a - b).powi(2)).sum();
-        let shift = a.object_from_base.translation.vector - b.object_from_base.translation.vector;
-        joints + 100.0 * shift.norm_squared()
-    };
-    among.iter().min_by(|a, b| far(a).total_cmp(&far(b)))
 }
 
 /// Counts the rollouts that both engines carried out.
@@ -273,12 +208,21 @@ fn name(verdict: Verdict) -> String {
 mod tests {
     #![allow(clippy::unwrap_used)]
 
+    use std::sync::Arc;
+
     use super::*;
     use crate::formula::PinchByFirstJoint;
+    use crate::object::BenchObject;
+    use crate::objects;
     use drex_core::Pose;
-    use drex_grasp::Grasp;
+    use drex_grasp::{Grasp, synthesize_grasps};
+    use drex_hw::control::EStop;
+    use drex_policy::TrainOptions;
     use drex_robot::Robot;
-    use drex_trial::ConditionSpread;
+    use drex_trial::{Command, ConditionSpread, Engine, TrialEvaluator, TrialOptions};
+    use drex_twin::Predictor;
+    use drex_twin::deploy::{DeployOptions, deploy};
+    use drex_twin::learn::{LearnOptions, POINTS};
 
     #[test]
     fn the_grip_does_not_change_with_what_is_told_where_it_is_chosen_by_what_is_true() {
@@ -292,7 +236,8 @@ mod tests {
         let actor = Actor::Always(vec![proposal(7.0, 0.9), proposal(50.0, 0.1)]);
         let conditions = ConditionSpread::around(Some(0.5)).conditions(30, 4);
         let run = |told, choice| {
-            let setting = Setting { mass_kg: 0.1, told: AssumedMass::Times(told), force: Force::Law, choice };
+            let path = GraspPath::default();
+            let setting = Setting { mass_kg: 0.1, told: AssumedMass::Times(told), path, choice };
             let cell = Cell {
                 labels: vec![],
                 evaluator: &PinchByFirstJoint,
@@ -307,5 +252,54 @@ mod tests {
         let row = run(3.0, Choice::True);
         assert_eq!((row.successes, row.failures["torque_limit"]), (0, 30), "the weak grip, refused");
         assert_eq!(run(3.0, Choice::AssumedMass).successes, 30, "the strong one");
+    }
+
+    struct Silent;
+
+    impl drex_twin::Progress for Silent {}
+
+    #[test]
+    fn what_is_deployed_is_what_a_table_judges() {
+        let robot = Arc::new(Robot::bundled("leap_right").unwrap());
+        let object = BenchObject::new(&objects::named("cube").unwrap()).unwrap().object;
+        let evaluator = TrialEvaluator::new(&object, &robot, &TrialOptions::default(), Engine::Diffsim).unwrap();
+        let mut grasps = synthesize_grasps(&object, &robot, 4000, 5).unwrap();
+        grasps.truncate(12);
+        let options = LearnOptions {
+            train: TrainOptions::default().with_epochs(40).with_points(POINTS).with_seed(5),
+            spread: ConditionSpread::around(Some(object.friction)),
+            simulated: 0,
+            shake_m_s2: 4.9,
+            masses_kg: Vec::new(),
+            mass_hidden: false,
+        };
+        let learned = Learned::train(&object, &robot, &grasps, &evaluator, &options).unwrap();
+
+        let points = object.point_cloud(POINTS, 5);
+        let actor = Actor::Policy(&learned, &points, object.table().up.into_inner());
+        let (told, path) = (AssumedMass::Times(1.0), GraspPath::default());
+        let setting = Setting { mass_kg: object.mass_kg(), told, path, choice: Choice::AssumedMass };
+        let (evaluator, labels) = (&evaluator, vec![]);
+        let cell = Cell { labels, evaluator, actor: &actor, setting, least_friction: None, compare: false };
+        let told = Condition { friction_factor: 1.0, ..ConditionSpread::around(Some(0.5)).conditions(1, 5)[0] };
+        let tabled = cell.plan(&Condition { friction: object.friction, ..told }).unwrap().unwrap();
+
+        let folder = tempfile::tempdir().unwrap();
+        learned.policy().save(folder.path()).unwrap();
+        let world_from_object = Pose::translation(0.4, -0.2, 0.0) * object.world_from_object;
+        let placed = object.with_rest_pose(world_from_object);
+        let mut predictor = Predictor::new(learned.policy().clone(), (*robot).clone(), placed, 5);
+        predictor.folder = folder.path().to_owned();
+        let prediction = predictor.predict().unwrap();
+        // All digits of all numbers.
+        let bytes = |command: &Command| format!("{command:?}");
+        assert_eq!(bytes(prediction.command.as_ref().unwrap()), bytes(&tabled));
+
+        deploy(&predictor, &prediction, &DeployOptions::default(), &EStop::new(), &Silent).unwrap();
+        let text = std::fs::read(folder.path().join("deploy.json")).unwrap();
+        let file: serde_json::Value = serde_json::from_slice(&text).unwrap();
+        assert_eq!(file["grasp"]["needed_squeeze_n"], tabled.grip_force_n);
+        assert_eq!(file["grasp"]["joints_rad"], serde_json::json!(tabled.joints));
+        assert_eq!(file["open_rad"], serde_json::json!(prediction.reach.open));
     }
 }

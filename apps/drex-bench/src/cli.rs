@@ -138,6 +138,9 @@ pub struct GraspArgs {
     /// Carry every command out in drex-diffsim as well, and say how often the two engines agree.
     #[arg(long)]
     pub compare: bool,
+    /// Beside each row of a network: without the network, without practice, without the dry run of the closing, with one force for all.
+    #[arg(long)]
+    pub ablations: bool,
 }
 
 /// `drex-bench objects`.

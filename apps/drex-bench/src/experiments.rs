@@ -10,18 +10,19 @@ use drex_core::Pose;
 use drex_policy::TrainOptions;
 use drex_retarget::TargetHand;
 use drex_robot::Robot;
-use drex_trial::paired_difference;
+use drex_trial::{
+    Condition, ConditionSpread, Evaluator, GraspPath, PathForce, Proposal, SelectionOptions, paired_difference,
+    select_grasps,
+};
 use nalgebra::{Point3, Quaternion, Translation3, UnitQuaternion, Vector3, Vector4};
 
-use super::cell::{Actor, AssumedMass, Cell, Choice, Force, Row, Setting};
+use super::cell::{Actor, AssumedMass, Cell, Choice, Row, Setting};
 use super::library::{self, Library, LibraryOptions};
 use super::object::BenchObject;
 use super::objects::{self, ObjectSpec};
 use super::table::{Comparison, Table};
 use drex_grasp::{Grasp, GraspOrigin, least_friction};
-use drex_trial::{Condition, ConditionSpread, Evaluator};
-use drex_twin::learn::POINTS;
-use drex_twin::learn::{LearnOptions, Learned, Proposal};
+use drex_twin::learn::{LearnOptions, Learned, POINTS};
 
 /// What is compared.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
@@ -51,6 +52,8 @@ const SYMBOL_Y_KG: [f64; 3] = [0.117, 0.206, 0.324];
 pub const IDENTIFIED_SD: f64 = 0.03;
 /// A fixed force is the one for this mass, kg: in the middle of the eight objects, geometrically.
 const FIXED_FOR_KG: f64 = 0.2;
+/// A force that knows nothing of the object, N: what the grip-force policy asks two opposed fingers for at 200 g and a friction of 0.5, 2.08 m g / μ.
+const FIXED_N: f64 = 8.2;
 /// Numbers of demonstrations.
 const CLIPS: [usize; 6] = [1, 2, 5, 10, 20, 40];
 
@@ -71,6 +74,8 @@ pub struct Bench<'a, E> {
     pub simulated: usize,
     /// Every command is carried out in both engines.
     pub compare: bool,
+    /// Beside each row of a network, one without each step of its path.
+    pub ablations: bool,
     /// Acceleration of the shakes, m/s².
     pub shake_m_s2: f64,
     /// Folder for grasps.
@@ -136,7 +141,7 @@ impl<E: Evaluator> Bench<'_, E> {
                 let told = masses.map(|m| (grams(m), AssumedMass::Always(m)));
                 for (name, told) in told.into_iter().chain([("half".to_owned(), AssumedMass::Times(0.5))]) {
                     let labels = vec![("object", spec.name.clone()), ("told", name), ("true", grams(mass_kg))];
-                    let setting = Setting { mass_kg, told, force: Force::Actor, choice: Choice::True };
+                    let setting = Setting { mass_kg, told, path: GraspPath::default(), choice: Choice::True };
                     self.add(&ready, &actor, labels, setting, least, table)?;
                 }
             }
@@ -155,7 +160,8 @@ impl<E: Evaluator> Bench<'_, E> {
             let labels = vec![("object", spec.name.clone()), ("true", grams(spec.mass_kg))];
             let least = self.least_friction(&ready, spec.mass_kg)?;
             let told = AssumedMass::Identified(IDENTIFIED_SD);
-            let setting = Setting { mass_kg: spec.mass_kg, told, force: Force::Actor, choice: Choice::AssumedMass };
+            let setting =
+                Setting { mass_kg: spec.mass_kg, told, path: GraspPath::default(), choice: Choice::AssumedMass };
             self.add(&ready, &actor, labels, setting, least, table)?;
         }
         let n = table.rows.len().max(1) as f64;
@@ -183,7 +189,7 @@ impl<E: Evaluator> Bench<'_, E> {
             for (name, told) in sources {
                 let labels =
                     vec![("mass", name.to_owned()), ("object", spec.name.clone()), ("true", grams(spec.mass_kg))];
-                let setting = Setting { mass_kg: spec.mass_kg, told, force: Force::Actor, choice: Choice::True };
+                let setting = Setting { mass_kg: spec.mass_kg, told, path: GraspPath::default(), choice: Choice::True };
                 self.add(&ready, &actor, labels, setting, least, table)?;
             }
             let (weighed, identified) = (&table.rows[first].held, &table.rows[first + 1].held);
@@ -236,7 +242,8 @@ impl<E: Evaluator> Bench<'_, E> {
                 };
                 let actor = ready.policy(&policy);
                 let told = AssumedMass::Identified(IDENTIFIED_SD);
-                let setting = Setting { mass_kg: spec.mass_kg, told, force: Force::Actor, choice: Choice::AssumedMass };
+                let setting =
+                    Setting { mass_kg: spec.mass_kg, told, path: GraspPath::default(), choice: Choice::AssumedMass };
                 self.add(&ready, &actor, labels, setting, least, table)?;
             }
             if CLIPS.into_iter().any(|count| count > clips.len()) {
@@ -272,7 +279,8 @@ impl<E: Evaluator> Bench<'_, E> {
                 let labels = vec![("object", spec.name.clone()), ("trained on", from), ("true", grams(spec.mass_kg))];
                 // The force is not what is transferred: the law has the contacts of this object.
                 let told = AssumedMass::Times(1.0);
-                let setting = Setting { mass_kg: spec.mass_kg, told, force: Force::Law, choice: Choice::AssumedMass };
+                let setting =
+                    Setting { mass_kg: spec.mass_kg, told, path: GraspPath::default(), choice: Choice::AssumedMass };
                 self.add(&ready, &actor, labels, setting, least, table)?;
             }
         }
@@ -287,36 +295,69 @@ impl<E: Evaluator> Bench<'_, E> {
             let random = self.learn(&ready, &ready.grasps, masses.to_vec(), true)?;
             let policy = ready.policy(&ours);
             let randomised = ready.policy(&random);
-            let mean = Actor::Always(vec![mean_grasp(&ready.grasps)?]);
-            let nearest = Actor::Always(vec![nearest_grasp(&ready.grasps)?]);
+            let demonstrated = |g: &&Grasp| matches!(g.origin, GraspOrigin::Retargeted | GraspOrigin::Refined);
+            let demonstrations: Vec<Grasp> = ready.grasps.iter().filter(demonstrated).cloned().collect();
+            let mean = Actor::Always(vec![mean_grasp(&demonstrations)?]);
+            let nearest = Actor::Always(vec![nearest_grasp(&demonstrations)?]);
             for mass_kg in masses {
                 let least = self.least_friction(&ready, mass_kg)?;
+                let whole = GraspPath::default();
+                let of_network = GraspPath { force: PathForce::Proposed, ..whole };
                 let methods = [
-                    ("mean demonstration", &mean, AssumedMass::Times(1.0), Force::Law),
-                    ("nearest demonstration", &nearest, AssumedMass::Times(1.0), Force::Law),
-                    ("fixed force", &policy, AssumedMass::Always(FIXED_FOR_KG), Force::Actor),
-                    ("random masses", &randomised, AssumedMass::Times(1.0), Force::Actor),
-                    ("ours", &policy, AssumedMass::Identified(IDENTIFIED_SD), Force::Actor),
-                    ("ours, true mass and friction", &policy, AssumedMass::Times(1.0), Force::Oracle),
+                    ("mean demonstration", &mean, AssumedMass::Times(1.0), whole),
+                    ("nearest demonstration", &nearest, AssumedMass::Times(1.0), whole),
+                    ("force of the network", &policy, AssumedMass::Identified(IDENTIFIED_SD), of_network),
+                    ("random masses", &randomised, AssumedMass::Times(1.0), of_network),
+                    ("ours", &policy, AssumedMass::Identified(IDENTIFIED_SD), whole),
+                    ("ours, true mass", &policy, AssumedMass::Times(1.0), whole),
                 ];
-                for (name, actor, told, force) in methods {
+                for (name, actor, told, path) in methods {
                     let labels =
                         vec![("method", name.to_owned()), ("object", spec.name.clone()), ("true", grams(mass_kg))];
-                    let setting = Setting { mass_kg, told, force, choice: Choice::True };
+                    let setting = Setting { mass_kg, told, path, choice: Choice::True };
                     self.add(&ready, actor, labels, setting, least, table)?;
                 }
             }
         }
         table.notes.push(identified_note());
-        table.notes.push(format!(
-            "the fixed force is the one for {}; random masses: trained at all of them, told none",
-            grams(FIXED_FOR_KG)
-        ));
+        table.notes.push("random masses: trained at all of them, told none; the force is the network's".into());
         table.notes.push(SAME_GRASPS.into());
         Ok(())
     }
 
     fn add(
+        &self,
+        ready: &Ready<E>,
+        actor: &Actor<'_>,
+        labels: Vec<(&'static str, String)>,
+        setting: Setting,
+        least_friction: Option<f64>,
+        table: &mut Table,
+    ) -> Result<()> {
+        let whole = GraspPath::default();
+        let learned = match actor {
+            Actor::Policy(learned, ..) if self.ablations && setting.path == whole => learned,
+            _ => return self.row(ready, actor, labels, setting, least_friction, table),
+        };
+        let practised = Actor::Always(learned.practised.iter().map(|p| always(p.grasp.clone())).collect());
+        let easiest = Actor::Always(self.easiest(ready)?);
+        let fixed = GraspPath { force: PathForce::Fixed(FIXED_N), ..whole };
+        let unchecked = GraspPath { dry_run: false, ..whole };
+        let steps = [
+            ("whole", actor, whole),
+            ("no network", &practised, whole),
+            ("no network, no practice", &easiest, whole),
+            ("no dry run", actor, unchecked),
+            ("fixed force", actor, fixed),
+        ];
+        for (name, actor, path) in steps {
+            let labels = labels.iter().cloned().chain([("path", name.to_owned())]).collect();
+            self.row(ready, actor, labels, Setting { path, ..setting }, least_friction, table)?;
+        }
+        Ok(())
+    }
+
+    fn row(
         &self,
         ready: &Ready<E>,
         actor: &Actor<'_>,
@@ -333,6 +374,20 @@ impl<E: Evaluator> Bench<'_, E> {
         (self.note)(&row.text());
         table.rows.push(row);
         Ok(())
+    }
+
+    /// The grasps of the library that ask for the least force once the hand has closed.
+    fn easiest(&self, ready: &Ready<E>) -> Result<Vec<Proposal>> {
+        let object = &ready.thing.object;
+        let options = SelectionOptions {
+            spread: ConditionSpread::around(ready.thing.spec.friction),
+            simulated: 0,
+            shake_m_s2: self.shake_m_s2,
+            seed: self.seed,
+        };
+        let masses_kg = [object.mass_kg()];
+        let selected = select_grasps(object, &self.robot, &ready.grasps, &ready.evaluator, &masses_kg, &options)?;
+        Ok(selected.grasps.into_iter().map(|g| always(g.grasp)).collect())
     }
 
     fn conditions(&self, thing: &BenchObject) -> Vec<Condition> {
@@ -451,6 +506,7 @@ mod tests {
             train: TrainOptions::default().with_epochs(60).with_hold_out_every(0),
             simulated: 20,
             compare: true,
+            ablations: false,
             shake_m_s2: 4.9,
             out: None,
             note: &|_| {},

@@ -26,7 +26,7 @@ impl BenchObject {
         if let Some(rest) = asset.stable_poses.first().filter(|_| spec.up.is_none()) {
             object = object.with_rest_pose(rest.world_from_mesh);
         }
-        Ok(Self { spec: spec.clone(), size_m: asset.report.size_m, object })
+        Ok(Self { spec: spec.clone(), size_m: asset.report.size_m, object: object.at_world_origin() })
     }
 }
 

@@ -287,6 +287,7 @@ fn grasp(args: &GraspArgs, seed: u64, output: Output) -> Result<()> {
         train,
         simulated: args.practice as usize,
         compare: args.compare,
+        ablations: args.ablations,
         shake_m_s2: options.shake_m_s2,
         out: common.out.clone(),
         note: &|text| eprintln!("{text}"),

@@ -1,5 +1,6 @@
 //! Tables of an experiment: as text, CSV and a plot.
 
+use std::collections::BTreeSet;
 use std::path::Path;
 
 use anyhow::Result;
@@ -73,7 +74,8 @@ impl Table {
 
     /// One line per row.
     pub fn csv(&self) -> String {
-        let keys: Vec<&str> = self.rows.first().map(|r| r.labels.keys().copied().collect()).unwrap_or_default();
+        let keys: BTreeSet<&str> = self.rows.iter().flat_map(|r| r.labels.keys().copied()).collect();
+        let keys: Vec<&str> = keys.into_iter().collect();
         let mut csv =
             keys.join(",") + ",successes,n,rate,low,high,bound,median_squeeze_n,median_delivered_n,failures\n";
         for r in &self.rows {

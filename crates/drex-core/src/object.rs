@@ -118,6 +118,14 @@ impl Object {
         self.with_rest_pose(Pose::from_parts(Translation3::new(0.0, 0.0, -table.height_m), upright(&table.up)))
     }
 
+    /// The same object turned as it is, its origin above that of the world, on the table z = 0: where in its world it stood does not matter.
+    #[must_use]
+    pub fn at_world_origin(self) -> Self {
+        let turned = Pose::from_parts(Translation3::identity(), self.world_from_object.rotation);
+        let lowest_m = self.bounds_at(&turned).map_or(0.0, |(low, _)| low.z);
+        self.with_rest_pose(Translation3::new(0.0, 0.0, -lowest_m) * turned)
+    }
+
     /// The table top in the object's frame, while the object rests on it.
     pub fn table(&self) -> TablePlane {
         let up = Unit::new_normalize(self.world_from_object.rotation.inverse() * Vector3::z());

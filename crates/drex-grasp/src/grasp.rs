@@ -26,6 +26,11 @@ pub enum GraspOrigin {
 }
 
 impl GraspOrigin {
+    /// Whether somebody showed it, or what it was made of.
+    pub fn is_demonstrated(self) -> bool {
+        matches!(self, Self::Retargeted | Self::Refined)
+    }
+
     /// The origin of a perturbed grasp. One of a grasp that nobody demonstrated is still one that was synthesised.
     #[must_use]
     pub fn perturbed(self) -> Self {
@@ -96,6 +101,24 @@ pub struct Grasp {
     pub source: usize,
 }
 
+/// How far one grasp is from another of the same hand.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize)]
+pub struct GraspChange {
+    /// Largest difference of a joint's angle, rad.
+    pub joint_rad: f64,
+    /// Shift of the hand's base, metres.
+    pub base_m: f64,
+    /// Turn of the hand's base, rad.
+    pub base_rad: f64,
+}
+
+impl GraspChange {
+    /// Whether nothing changed by more than in `most`.
+    pub fn is_within(&self, most: &Self) -> bool {
+        self.joint_rad <= most.joint_rad && self.base_m <= most.base_m && self.base_rad <= most.base_rad
+    }
+}
+
 /// A point where the hand touches the object, object frame.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct GraspContact {
@@ -120,6 +143,17 @@ impl Grasp {
             grip_force_n: None,
             origin: GraspOrigin::Retargeted,
             source: 0,
+        }
+    }
+
+    /// How far this grasp is from another whose joints are in the same order.
+    pub fn change_from(&self, other: &Self) -> GraspChange {
+        let joints = self.joints_rad.iter().zip(&other.joints_rad).map(|(a, b)| (a - b).abs());
+        let base = other.object_from_base.inverse() * self.object_from_base;
+        GraspChange {
+            joint_rad: joints.fold(0.0, f64::max),
+            base_m: base.translation.vector.norm(),
+            base_rad: base.rotation.angle(),
         }
     }
 

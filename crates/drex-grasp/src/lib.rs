@@ -46,7 +46,7 @@ pub use distribute::{Distribution, distribute, maximum_grip_force};
 pub use error::{GraspError, Result};
 pub use evaluation::{EvaluationOptions, FingerContacts, GraspEvaluation, evaluate, evaluate_with};
 pub use find::{ContactOptions, find_contacts};
-pub use grasp::{Grasp, GraspContact, GraspOrigin, OriginCounts};
+pub use grasp::{Grasp, GraspChange, GraspContact, GraspOrigin, OriginCounts};
 pub use grip_force::{GripForceError, GripForceSolution, minimum_grip_force, smallest_forces};
 pub use grip_force_policy::{ForceCommand, GripForcePolicy, PAPER_FORCE_LIMIT_N, paper_force};
 pub use hand::{HandSurface, LinkSurface, SelfCollision};

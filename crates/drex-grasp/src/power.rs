@@ -38,6 +38,8 @@ const SPREAD_RAD: f64 = 0.15;
 /// By how much a variation of a grasp differs from it at most: each joint and the turn of the palm, rad, and its shift, metres.
 const PERTURBATION_RAD: f64 = 0.05;
 const PERTURBATION_M: f64 = 0.0025;
+/// A finger that would turn by more to touch has no part in a demonstrated grasp, rad.
+const MOST_CLOSED_RAD: f64 = 0.3;
 /// Set apart from each other and from the seeds of other draws.
 const PLACEMENT_SEED: u64 = 0x6c61_6964;
 const PERTURBATION_SEED: u64 = 0x76_61_72_79;
@@ -87,6 +89,29 @@ pub fn power_grasps(object: &Object, robot: &Robot, tries: usize, seed: u64) -> 
     let grasps: Vec<Grasp> = found.into_iter().flatten().collect();
     tracing::info!("{}: {} of {tries} power grasps hold", object.name, grasps.len());
     Ok(grasps)
+}
+
+impl Grasp {
+    /// The grasp with its joints and base moved at random, by at most `size` times `PERTURBATION_RAD` and `PERTURBATION_M`, within the limits of
+    /// the joints; what it touches there nobody has looked at.
+    #[must_use]
+    pub fn moved(&self, robot: &Robot, size: f64, seed: u64, stream: u64) -> Self {
+        let mut rng = ChaCha8Rng::seed_from_u64(seed ^ PERTURBATION_SEED);
+        rng.set_stream(stream);
+        let mut error = |most: f64| size * rng.random_range(-most..=most);
+        let mut joints_rad: Vec<f64> = self.joints_rad.iter().map(|q| q + error(PERTURBATION_RAD)).collect();
+        let shift = Vector3::from_fn(|_, _| error(PERTURBATION_M));
+        let turn = Vector3::from_fn(|_, _| error(PERTURBATION_RAD));
+        robot.clamp_to_limits(&mut joints_rad);
+        Self {
+            joints_rad,
+            object_from_base: self.object_from_base * Pose::new(shift, turn),
+            contacts: Vec::new(),
+            grip_force_n: None,
+            origin: self.origin.perturbed(),
+            ..self.clone()
+        }
+    }
 }
 
 impl<'a> FingerClosing<'a> {
@@ -178,20 +203,35 @@ impl<'a> FingerClosing<'a> {
         seed: u64,
         stream: u64,
     ) -> Result<Option<Grasp>> {
-        let mut rng = ChaCha8Rng::seed_from_u64(seed ^ PERTURBATION_SEED);
-        rng.set_stream(stream);
-        let mut error = |most: f64| size * rng.random_range(-most..=most);
-        let mut q: Vec<f64> = grasp.joints_rad.iter().map(|q| q + error(PERTURBATION_RAD)).collect();
-        let shift = Vector3::from_fn(|_, _| error(PERTURBATION_M));
-        let turn = Vector3::from_fn(|_, _| error(PERTURBATION_RAD));
-        let pose = grasp.object_from_base * Pose::new(shift, turn);
-        self.robot.clamp_to_limits(&mut q);
+        let Grasp { joints_rad: mut q, object_from_base: pose, .. } = grasp.moved(self.robot, size, seed, stream);
         let limits = EvaluationOptions::synthesised();
         if !self.open_fingers(object, &mut q, &pose) || self.lowest(object, &q, &pose) < limits.min_table_clearance_m {
             return Ok(None);
         }
         let closed = self.closed(object, q, &pose, &limits)?;
         Ok(closed.map(|g| Grasp { origin: grasp.origin.perturbed(), source: grasp.source, ..g }))
+    }
+
+    /// A demonstrated grasp that is [moved](Grasp::moved), with the fingers at the object that were near it; what it holds nobody has looked at. `None` if
+    /// it is none that a hand can have there.
+    ///
+    /// # Errors
+    /// If the grasp is none of this hand.
+    pub fn refined(&self, object: &Object, grasp: &Grasp, size: f64, seed: u64, stream: u64) -> Result<Option<Grasp>> {
+        let mut moved = grasp.moved(self.robot, size, seed, stream);
+        let pose = moved.object_from_base;
+        let mut q = moved.joints_rad.clone();
+        if !self.open_fingers(object, &mut q, &pose) {
+            return Ok(None);
+        }
+        moved.joints_rad.clone_from(&q);
+        self.close(object, &pose, &mut q);
+        for finger in &self.fine.fingers {
+            if finger.joints.iter().all(|&j| (q[j] - moved.joints_rad[j]).abs() <= MOST_CLOSED_RAD) {
+                finger.joints.iter().for_each(|&j| moved.joints_rad[j] = q[j]);
+            }
+        }
+        moved.screened(&self.fine, object, self.robot, &EvaluationOptions::demonstrated())
     }
 
     /// The grasp that closing from here gives.

@@ -14,9 +14,10 @@ use crate::picture::hand::HandShapes;
 use crate::picture::plot::{COLORS, Plot, Series};
 use crate::picture::raster::{Part, View, clearest_azimuth, render_png};
 use drex_core::stats::median;
-use drex_grasp::OriginCounts;
+use drex_grasp::{GraspOrigin, OriginCounts};
+use drex_trial::DemonstrationCounts;
 use drex_twin::Twin;
-use drex_twin::records::{EvaluatedGrasp, Evaluation, FitFile, FitRecord, Training};
+use drex_twin::records::{EvaluatedGrasp, Evaluation, FitFile, FitRecord, PracticeRecord, PractisedGrasp, Training};
 
 /// Fits that push the object out of the hand by less than this hold it between the fingers.
 const PUSHED_OUT: f64 = 0.1;
@@ -79,8 +80,8 @@ fn of_robot(page: &mut Page, fits: &FitFile) {
     ));
 }
 
-/// Curve and errors of the training.
-pub fn training(page: &mut Page, training: &Training) {
+/// What was learned, curve and errors of the training.
+pub fn training(page: &mut Page, twin: &Twin, asset: &Asset, training: &Training) -> Result<()> {
     page.section("The network");
     let r = &training.report;
     let row = |what: &str, o: &OriginCounts| {
@@ -105,6 +106,9 @@ pub fn training(page: &mut Page, training: &Training) {
             "None of the grasps that the network learned was demonstrated{}.",
             if training.learned.refined == 0 { ", nor made of one that was" } else { "" }
         ));
+    }
+    if let Some(practice) = &training.practice {
+        practised(page, &Stage::new(twin, asset)?, practice)?;
     }
     page.paragraph(&format!(
         "{} parameters, {} samples for training ({} grasps at several masses) and {} held out. From surface points and mass to \
@@ -148,6 +152,51 @@ pub fn training(page: &mut Page, training: &Training) {
             ],
         );
     }
+    Ok(())
+}
+
+/// How far the demonstrations came in simulation, and the grasps that were learned.
+fn practised(page: &mut Page, stage: &Stage<'_>, practice: &PracticeRecord) -> Result<()> {
+    let DemonstrationCounts { demonstrated, as_demonstrated, commanded, held, selected } = practice.demonstrations;
+    if demonstrated > 0 {
+        page.paragraph(&format!(
+            "Of {demonstrated} demonstrated grasps and variations of them the motors can hold the object with {as_demonstrated} as they are and \
+             with {commanded} after a local refinement, once the hand has closed; of those that were lifted, held and shaken {held} held under most \
+             conditions, and {selected} were learned."
+        ));
+    }
+    let row = |g: &PractisedGrasp| {
+        let change = g.change.map_or(vec!["-".to_owned(); 3], |c| {
+            vec![
+                format!("{:.2}", c.joint_rad),
+                format!("{:.1}", 1e3 * c.base_m),
+                format!("{:.1}", c.base_rad.to_degrees()),
+            ]
+        });
+        let origin = match g.grasp.origin {
+            GraspOrigin::Retargeted => "demonstrated",
+            GraspOrigin::Refined => "refined",
+            GraspOrigin::Power | GraspOrigin::Pinch => "searched",
+            GraspOrigin::Predicted => "predicted",
+        };
+        let [held, of] = g.held;
+        [vec![origin.to_owned(), format!("{held} of {of}")], change].concat()
+    };
+    page.table(
+        &["learned", "held under", "joints changed by up to, rad", "wrist moved, mm", "wrist turned, deg"],
+        &practice.learned.iter().map(row).collect::<Vec<_>>(),
+    );
+    let mut pictures = Vec::new();
+    for (g, demonstration) in
+        practice.learned.iter().filter_map(|g| Some((g, g.demonstration.as_ref()?))).take(SHOWN / 2)
+    {
+        let before = stage.picture(&demonstration.joints_rad, &demonstration.object_from_base)?;
+        pictures.push((before, "as demonstrated, on the object".to_owned()));
+        let after = stage.picture(&g.grasp.joints_rad, &g.grasp.object_from_base)?;
+        pictures.push((after, format!("as it held under {} of {} conditions", g.held[0], g.held[1])));
+    }
+    page.pictures(&pictures);
+    Ok(())
 }
 
 /// The predicted grasps and the static check.

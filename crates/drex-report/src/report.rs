@@ -72,7 +72,7 @@ pub fn page(twin: &Twin) -> Result<String> {
     push::section(&mut page, &mass, &replays);
     if let Some(learned) = &learned {
         grasps::demonstrations(&mut page, twin, asset, &learned.fits)?;
-        grasps::training(&mut page, &learned.training);
+        grasps::training(&mut page, twin, asset, &learned.training)?;
         grasps::evaluation(&mut page, twin, asset, &learned.evaluation)?;
         trial::section(&mut page, twin, asset, &learned.trial)?;
         hand::section(&mut page, twin, &learned.execution)?;

@@ -9,9 +9,11 @@ use super::mass::{bounds_text, contradiction_text, grip_text, posterior_text, pr
 use super::page::Page;
 use super::push::verdict_text;
 use crate::learned::Learned;
-use drex_grasp::OriginCounts;
-use drex_twin::records::SplatReport;
-use drex_twin::records::{EvaluatedGrasp, Evaluation, ExecutionFile, FitFile, MassFile, Training, TrialFile};
+use drex_grasp::{GraspChange, OriginCounts};
+use drex_trial::DemonstrationCounts;
+use drex_twin::records::{
+    EvaluatedGrasp, Evaluation, ExecutionFile, FitFile, MassFile, PracticeRecord, SplatReport, Training, TrialFile,
+};
 use drex_twin::{Stage, Twin, records as files};
 
 /// What a run found, as text and as JSON.
@@ -75,10 +77,14 @@ pub fn findings(twin: &Twin, last: Stage) -> Result<Findings> {
         let training: Training = files::read_json(&twin.path(files::TRAINING))?;
         let Training { learned, tried, .. } = &training;
         text += &format!("  learned    {}\n", learned_line(learned, tried));
+        let practised = training.practice.as_ref().filter(|p| p.demonstrations.demonstrated > 0);
+        if let Some(practice) = practised {
+            text += &format!("  refined    {}\n", refined_line(practice));
+        }
         found.insert(
             "learned".into(),
             json!({ "learned": learned.total(), "demonstrated": learned.demonstrated, "refined": learned.refined,
-                    "searched": learned.searched, "tried": tried }),
+                    "searched": learned.searched, "tried": tried, "demonstrations": practised.map(|p| p.demonstrations) }),
         );
     }
     if has_grasps && last >= Stage::Evaluate {
@@ -134,6 +140,25 @@ fn tally(grasps: &[EvaluatedGrasp]) -> Value {
 /// "3 grasps: 0 demonstrated, 1 refined, 2 searched; tried were 42 demonstrated, 0 refined, 117 searched".
 fn learned_line(learned: &OriginCounts, tried: &OriginCounts) -> String {
     format!("{} grasps: {learned}; tried were {tried}", learned.total())
+}
+
+/// "37 demonstrated: 11 can hold it, 6 of them as they are; 3 held in practice, 3 learned, changed by up to 0.38 rad, 11.0 mm and 9.9 degrees".
+fn refined_line(practice: &PracticeRecord) -> String {
+    let DemonstrationCounts { demonstrated, as_demonstrated, commanded, held, selected } = practice.demonstrations;
+    let changes = || practice.learned.iter().filter_map(|g| g.change);
+    let most = |of: fn(&GraspChange) -> f64| changes().map(|c| of(&c)).fold(0.0, f64::max);
+    let changed = match selected {
+        0 => String::new(),
+        _ => format!(
+            ", changed by up to {:.2} rad, {:.1} mm and {:.1} degrees",
+            most(|c| c.joint_rad),
+            1e3 * most(|c| c.base_m),
+            most(|c| c.base_rad).to_degrees()
+        ),
+    };
+    format!(
+        "{demonstrated} demonstrated: {commanded} can hold it, {as_demonstrated} of them as they are; {held} held in practice, {selected} learned{changed}"
+    )
 }
 
 /// "23 of 24 lifted, held and shaken (95 %: 80 to 99 %) with 7.1 N".
@@ -212,6 +237,18 @@ pub fn figures(page: &mut Page, asset: &Asset, mass: &MassFile, learned: Option<
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn the_report_says_how_far_demonstrations_came() {
+        let demonstrations =
+            DemonstrationCounts { demonstrated: 37, as_demonstrated: 6, commanded: 11, held: 3, selected: 1 };
+        let practice = PracticeRecord { commanded: 60, robust: 5, demonstrations, learned: Vec::new() };
+        let text = refined_line(&practice);
+        assert!(
+            text.starts_with("37 demonstrated: 11 can hold it, 6 of them as they are; 3 held in practice, 1 learned"),
+            "{text}"
+        );
+    }
 
     #[test]
     fn the_report_says_where_learned_grasps_come_from() {

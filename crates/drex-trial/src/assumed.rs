@@ -48,12 +48,16 @@ impl Truth {
     }
 }
 
+/// The lightest mass, kg, and the highest friction that there are.
+pub(crate) const LEAST_KG: f64 = 1e-3;
+pub(crate) const HIGHEST_FRICTION: f64 = 5.0;
+
 /// Masses from a gram to a hundred kilograms, frictions from nearly nothing to five.
 pub(crate) fn check_mass_and_friction(mass_kg: f64, friction: f64) -> Result<()> {
-    if !(1e-3..=100.0).contains(&mass_kg) {
+    if !(LEAST_KG..=100.0).contains(&mass_kg) {
         return Err(Error::value(format!("a mass of {mass_kg} kg"), "give kilograms, 0.001 to 100"));
     }
-    if !(1e-3..=5.0).contains(&friction) {
+    if !(1e-3..=HIGHEST_FRICTION).contains(&friction) {
         return Err(Error::value(format!("a friction of {friction}"), "give a Coulomb coefficient, 0.001 to 5"));
     }
     Ok(())

@@ -41,6 +41,11 @@ impl ClosingPlan {
         &self.closed
     }
 
+    /// How the fingers open before the grasp and close onto the object.
+    pub fn reach(&self) -> &Reach {
+        &self.reach
+    }
+
     /// Where the closed hand touches the object, world, the most pressed first.
     pub fn contacts(&self) -> &[Contact] {
         &self.touching
@@ -50,17 +55,8 @@ impl ClosingPlan {
 /// See [`Trial::plan_closing`](crate::Trial::plan_closing).
 pub(crate) fn plan_closing(pair: &HandAndObject, grasp: &Grasp, assumed: &Assumed) -> Result<ClosingPlan> {
     check_mass_and_friction(assumed.mass_kg, assumed.friction)?;
-    let (joints, object_from_base) = (grasp.joints_of(&pair.hand)?, &grasp.object_from_base);
-    let object = &pair.object;
-    let world_from_base = object.world_from_object * object_from_base;
-    let reach = reach::plan(
-        &pair.hand,
-        &pair.surface,
-        &joints,
-        object_from_base,
-        object.geometry.as_ref(),
-        &object.world_from_object,
-    );
+    let joints = grasp.joints_of(&pair.hand)?;
+    let (world_from_base, reach) = reached(pair, &joints, &grasp.object_from_base);
     let truth = Truth::as_assumed(assumed, 0);
     let (mut simulation, drives) =
         pair.simulation(&world_from_base, &reach, &truth, timeline::CLOSED_S, Engine::Diffsim)?;
@@ -98,6 +94,44 @@ pub(crate) fn plan_closing(pair: &HandAndObject, grasp: &Grasp, assumed: &Assume
     Ok(ClosingPlan { joints, world_from_base, reach, closed, touching, near, table_n, fingers_in_contact })
 }
 
+/// See [`Trial::closing_as_proposed`](crate::Trial::closing_as_proposed).
+pub(crate) fn as_proposed(pair: &HandAndObject, grasp: &Grasp) -> Result<ClosingPlan> {
+    let joints = grasp.joints_of(&pair.hand)?;
+    let (world_from_base, reach) = reached(pair, &joints, &grasp.object_from_base);
+    let touching =
+        contacts(pair, &joints, &pair.object.world_from_object, &world_from_base, &ContactOptions::default())?;
+    let mut fingers_in_contact = vec![false; pair.surface.fingers.len()];
+    touching.iter().filter_map(|c| c.finger).for_each(|f| fingers_in_contact[f] = true);
+    let (closed, near, table_n) = (joints.clone(), Vec::new(), 0.0);
+    Ok(ClosingPlan { joints, world_from_base, reach, closed, touching, near, table_n, fingers_in_contact })
+}
+
+/// Where the hand's base goes for a grasp of the object where it is assumed to be, and how the hand gets there.
+fn reached(pair: &HandAndObject, joints: &[f64], object_from_base: &Pose) -> (Pose, Reach) {
+    let HandAndObject { hand, surface, object, .. } = pair;
+    let (geometry, world_from_object) = (object.geometry.as_ref(), &object.world_from_object);
+    let reach = reach::plan(hand, surface, joints, object_from_base, geometry, world_from_object);
+    (world_from_object * object_from_base, reach)
+}
+
+/// Where the hand touches an object that stands here, or nearly so, world.
+fn contacts(
+    pair: &HandAndObject,
+    joints: &[f64],
+    world_from_object: &Pose,
+    world_from_base: &Pose,
+    options: &ContactOptions,
+) -> Result<Vec<Contact>> {
+    let object_from_base = world_from_object.inverse() * world_from_base;
+    let surface = pair.object.geometry.as_ref();
+    let mut contacts = pair.surface.contacts(&pair.hand, joints, &object_from_base, surface, options)?;
+    for contact in &mut contacts {
+        contact.point = world_from_object * contact.point;
+        contact.normal = world_from_object * contact.normal;
+    }
+    Ok(contacts)
+}
+
 /// Contacts of the touches.
 fn touching(pair: &HandAndObject, touches: &mut [Touch]) -> Vec<Contact> {
     touches.sort_by(|a, b| b.normal_n.total_cmp(&a.normal_n));
@@ -123,13 +157,7 @@ fn near(
 ) -> Result<Vec<Contact>> {
     let mut options = ContactOptions::default();
     options.max_per_link = MAY_BEAR;
-    let object_from_base = world_from_object.inverse() * world_from_base;
-    let surface = pair.object.geometry.as_ref();
-    let mut contacts = pair.surface.contacts(&pair.hand, closed, &object_from_base, surface, &options)?;
-    for contact in &mut contacts {
-        contact.point = world_from_object * contact.point;
-        contact.normal = world_from_object * contact.normal;
-    }
+    let mut contacts = contacts(pair, closed, world_from_object, world_from_base, &options)?;
     contacts.retain(|c| !among(touching, c));
     Ok(contacts)
 }

@@ -152,6 +152,12 @@ pub trait Evaluator: Sync {
     /// If the grasp is none of the hand.
     fn close(&self, grasp: &Grasp, assumed: &Assumed) -> Result<Self::Closed>;
 
+    /// The hand as the grasp has it, without a dry run: its contacts are those of the grasp at rest.
+    ///
+    /// # Errors
+    /// If the grasp is none of the hand.
+    fn as_proposed(&self, grasp: &Grasp, assumed: &Assumed) -> Result<Self::Closed>;
+
     /// The command of a closed hand given what is assumed; the inner error says why there is none.
     ///
     /// # Errors
@@ -269,6 +275,10 @@ impl Evaluator for TrialEvaluator {
 
     fn close(&self, grasp: &Grasp, assumed: &Assumed) -> Result<ClosingPlan> {
         self.trial.plan_closing(grasp, assumed)
+    }
+
+    fn as_proposed(&self, grasp: &Grasp, _: &Assumed) -> Result<ClosingPlan> {
+        self.trial.closing_as_proposed(grasp)
     }
 
     fn command(&self, closed: &ClosingPlan, assumed: &Assumed, force: GripForce) -> Result<Result<Command, NoCommand>> {

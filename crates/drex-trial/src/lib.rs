@@ -18,6 +18,7 @@ mod find;
 mod hand_and_object;
 mod options;
 mod outcome;
+mod path;
 mod reach;
 mod selection;
 mod stats;
@@ -36,8 +37,9 @@ pub use evaluator::{Condition, ConditionSpread, Evaluation, Evaluator, TrialEval
 pub use find::{FindOptions, TriedGrasp, find_grasp, find_grasp_watched};
 pub use options::TrialOptions;
 pub use outcome::{Outcome, Verdict};
+pub use path::{GraspPath, PathForce, PlannedGrasp, Proposal, sort_proposals};
 pub use reach::{Reach, plan as plan_reach};
-pub use selection::{Selection, SelectionOptions, VALIDATION_SEED, ValidatedGrasp, select_grasps};
+pub use selection::{DemonstrationCounts, Selection, SelectionOptions, VALIDATION_SEED, ValidatedGrasp, select_grasps};
 pub use stats::{Interval, paired_difference, wilson};
 pub use stoppable::Stoppable;
 pub use timeline::phases;

@@ -3,14 +3,20 @@
 //! Four filter stages, each costlier than the one before: the motors' torques at rest, a dry run of the closing with the grip force
 //! for its contacts, hill climbing from the best of these, and successive halving over simulated trials with mutations between the
 //! rungs.
+//!
+//! Demonstrated grasps go through them on their own, so that they are refined until they hold and not discarded for others that hold as they
+//! are. What they become stays near what was demonstrated.
 
 use std::cmp::Ordering;
+use std::sync::Arc;
 
 use drex_core::Object;
-use drex_grasp::{FingerClosing, Grasp, least_friction_index};
+use drex_grasp::{FingerClosing, Grasp, GraspChange, least_friction_index};
 use drex_robot::Robot;
 use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
 
+use crate::assumed::{HIGHEST_FRICTION, LEAST_KG};
 use crate::{Assumed, Condition, ConditionSpread, Evaluation, Evaluator, GripForce, Result};
 
 /// Rungs of the successive halving: conditions of the rung, and of how many grasps of the first rung one goes on to the next.
@@ -23,6 +29,20 @@ const FRICTION_STEPS: usize = 16;
 const GENERATIONS: usize = 12;
 /// Of how many simulated grasps one is climbed from.
 const CLIMBED_ONE_OF: usize = 4;
+/// Relative size of the first perturbations of a demonstrated grasp; the last are the smallest of all.
+const REFINEMENT_SIZE: f64 = 4.0;
+/// What a demonstrated grasp that carries nothing of what it is to carry is asked for on the way there: shares of the lightest mass, at up to so many
+/// times the highest friction.
+const EASIER_SHARES: [f64; 3] = [1.0, 0.5, 0.2];
+const ROUGHER: f64 = 3.0;
+/// Demonstrated grasps that are refined for one that is simulated.
+const REFINED_PER_SIMULATED: usize = 2;
+/// Perturbations of a demonstrated grasp in a generation.
+const REFINEMENTS: usize = 8;
+/// Demonstrated grasps that differ by less are one: frames of a hand that rests.
+const SAME: GraspChange = GraspChange { joint_rad: 0.03, base_m: 0.002, base_rad: 0.03 };
+/// The most by which a demonstrated grasp is changed.
+const MOST_REFINED: GraspChange = GraspChange { joint_rad: 0.4, base_m: 0.02, base_rad: 0.35 };
 /// Perturbations of one grasp in a generation.
 const PERTURBATIONS: usize = 4;
 /// The rung after which what is left is mutated.
@@ -64,6 +84,8 @@ pub struct SelectionOptions {
 pub struct ValidatedGrasp {
     /// The grasp.
     pub grasp: Grasp,
+    /// The demonstrated grasp that it is or was made of.
+    pub demonstration: Option<Arc<Grasp>>,
     /// For each finger whether it touches once the hand has closed.
     pub fingers: Vec<bool>,
     /// Score under each condition: zero if the grasp did not hold, else one and a part of its safety margin. What barely holds in
@@ -80,17 +102,49 @@ pub struct Selection {
     pub commanded: usize,
     /// Number of grasps that held under at least three quarters of their conditions.
     pub robust: usize,
+    /// What became of the demonstrated ones among them.
+    pub demonstrations: DemonstrationCounts,
     /// Lowest assumed friction at which a closed grasp has a grip force for the heaviest mass.
     pub carries_from: Option<f64>,
+}
+
+/// How many demonstrated grasps came how far, themselves or as what was made of them.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct DemonstrationCounts {
+    /// That were to be tried.
+    pub demonstrated: usize,
+    /// For which there is a grip force once the hand has closed, as demonstrated.
+    pub as_demonstrated: usize,
+    /// For which there is one as demonstrated or refined.
+    pub commanded: usize,
+    /// That held under at least three quarters of their conditions.
+    pub held: usize,
+    /// That were selected.
+    pub selected: usize,
 }
 
 /// A grasp with the hand closed.
 struct ClosedGrasp<C> {
     grasp: Grasp,
+    demonstration: Option<Arc<Grasp>>,
     closed: C,
     /// Place of the first of what it may be asked to carry for which there is a force, and that force, N: less is better.
     place: usize,
     grip_force_n: f64,
+}
+
+/// A grasp to climb from.
+struct Start<'a, E: Evaluator> {
+    grasp: &'a Grasp,
+    demonstration: Option<&'a Arc<Grasp>>,
+    /// `None` if there is no force for it.
+    closed: Option<&'a ClosedGrasp<E::Closed>>,
+}
+
+impl<'a, E: Evaluator> Start<'a, E> {
+    fn from(closed: &'a ClosedGrasp<E::Closed>) -> Self {
+        Self { grasp: &closed.grasp, demonstration: closed.demonstration.as_ref(), closed: Some(closed) }
+    }
 }
 
 /// What a closed hand is asked to carry.
@@ -102,6 +156,8 @@ struct Task<'a, E> {
     closes_on: Assumed,
     /// What it is to carry, for each mass, the heaviest first: the lowest friction first.
     loads: Vec<Vec<Assumed>>,
+    /// Less, and still less, which says of a demonstrated grasp how far it is from carrying anything of that.
+    easier: Vec<Vec<Assumed>>,
 }
 
 /// Selects the grasps that hold the object at each of the masses. The same for any number of threads.
@@ -133,44 +189,127 @@ pub fn select_grasps<E: Evaluator>(
         loads.push(at(lightest));
     }
     let closes_on = Assumed { mass_kg: heaviest, friction: middle };
-    let task = Task { object, robot, evaluator, closes_on, loads };
+    let rougher = |share: f64| -> Vec<Assumed> {
+        let factor = |i: usize| 1.0 + (ROUGHER - 1.0) * (i + 1) as f64 / FRICTION_STEPS as f64;
+        let friction = |i: usize| (factor(i) * spread.friction.1).min(HIGHEST_FRICTION);
+        (0..FRICTION_STEPS)
+            .map(|i| Assumed { mass_kg: (share * lightest).max(LEAST_KG), friction: friction(i) })
+            .collect()
+    };
+    let easier = EASIER_SHARES.into_iter().map(rougher).collect();
+    let task = Task { object, robot, evaluator, closes_on, loads, easier };
 
     let least = least_friction_index(object, robot, grasps, heaviest, &frictions, options.shake_m_s2)?;
     let place = |at: Option<usize>| at.unwrap_or(frictions.len());
     let force = |g: &Grasp| g.grip_force_n.unwrap_or(f64::INFINITY);
     let mut easiest: Vec<(usize, &Grasp)> = least.into_iter().map(place).zip(grasps).collect();
     easiest.sort_by(|(i, a), (j, b)| i.cmp(j).then(force(a).total_cmp(&force(b))));
-    // Without practice those that look best are learned as they are.
-    let tried = if options.simulated == 0 { MAX_SELECTED } else { options.simulated };
-    easiest.truncate(CLOSINGS_PER_SIMULATED * tried);
+    let easiest = easiest.into_iter().map(|(_, g)| g);
+    let (shown, found): (Vec<&Grasp>, Vec<&Grasp>) = easiest.partition(|g| g.origin.is_demonstrated());
+    // Both are simulated alike where there are both.
+    let tried = match shown.is_empty() || found.is_empty() {
+        true => options.simulated,
+        false => options.simulated.div_ceil(2),
+    };
 
-    let closed: Vec<Option<ClosedGrasp<E::Closed>>> =
-        easiest.into_par_iter().map(|(_, g)| task.close(g.clone())).collect::<Result<_>>()?;
-    let mut closed: Vec<ClosedGrasp<E::Closed>> = closed.into_iter().flatten().collect();
-    let commanded = closed.len();
-    closed.sort_by(ClosedGrasp::against);
-    // What carries the heaviest at all frictions needs no better neighbour.
-    let hard = closed.partition_point(|g| g.place == 0);
-    let climbed = options.simulated.div_ceil(CLIMBED_ONE_OF).saturating_sub(hard).min(closed.len() - hard);
-    let better = task.climb(&closed[hard..hard + climbed], options.seed)?;
-    closed.extend(better);
-    closed.sort_by(ClosedGrasp::against);
-    let carries_from = closed.first().and_then(|g| task.loads[0].get(g.place)).map(|b| b.friction);
-    closed.truncate(tried);
-
-    let validated = task.simulate(closed, masses_kg, options)?;
-    let robust = validated.iter().filter(|p| !p.scores.is_empty() && 4 * p.holds() >= 3 * p.scores.len()).count();
-    Ok(Selection { grasps: selected(validated), commanded, robust, carries_from })
+    let mut counts = DemonstrationCounts { demonstrated: shown.len(), ..DemonstrationCounts::default() };
+    let shown = task.refined(&shown, tried, options.seed, &mut counts)?;
+    let found = task.closed(found, tried, options.seed)?;
+    let commanded = shown.len() + found.len();
+    let all = || shown.iter().chain(&found);
+    let carries_from = all().map(|g| g.place).min().and_then(|at| task.loads[0].get(at)).map(|load| load.friction);
+    let shown = task.simulate(shown, tried, masses_kg, options)?;
+    let found = task.simulate(found, tried, masses_kg, options)?;
+    counts.held = shown.iter().filter(|p| p.is_robust()).count();
+    let robust = counts.held + found.iter().filter(|p| p.is_robust()).count();
+    let grasps = selected(shown, found);
+    counts.selected = grasps.iter().filter(|p| p.demonstration.is_some()).count();
+    Ok(Selection { grasps, commanded, robust, demonstrations: counts, carries_from })
 }
 
 impl<E: Evaluator> Task<'_, E> {
+    /// Those of the grasps, the easiest first, for which there is a force once the hand has closed, and better neighbours of the best of them that
+    /// do not carry everything; those that ask for the least first.
+    fn closed(&self, grasps: Vec<&Grasp>, simulated: usize, seed: u64) -> Result<Vec<ClosedGrasp<E::Closed>>> {
+        // Without practice those that look best are learned as they are.
+        let tried = if simulated == 0 { MAX_SELECTED } else { simulated };
+        let easiest = grasps.into_par_iter().take(CLOSINGS_PER_SIMULATED * tried);
+        let closed: Vec<Option<ClosedGrasp<E::Closed>>> =
+            easiest.map(|g| self.close(g.clone(), None)).collect::<Result<_>>()?;
+        let mut closed: Vec<ClosedGrasp<E::Closed>> = closed.into_iter().flatten().collect();
+        closed.sort_by(ClosedGrasp::against);
+        // What carries the heaviest at all frictions needs no better neighbour.
+        let hard = closed.partition_point(|g| g.place == 0);
+        let climbed = simulated.div_ceil(CLIMBED_ONE_OF).saturating_sub(hard).min(closed.len() - hard);
+        let starts: Vec<Start<'_, E>> = closed[hard..hard + climbed].iter().map(Start::from).collect();
+        let better = self.climb(&starts, PERTURBATIONS, 1.0, seed)?;
+        closed.extend(better);
+        closed.sort_by(ClosedGrasp::against);
+        Ok(closed)
+    }
+
+    /// Demonstrated grasps, the easiest first, each refined until there is a force that carries the heaviest at all frictions, or as far as that goes;
+    /// those that ask for the least first.
+    fn refined(
+        &self,
+        grasps: &[&Grasp],
+        simulated: usize,
+        seed: u64,
+        counts: &mut DemonstrationCounts,
+    ) -> Result<Vec<ClosedGrasp<E::Closed>>> {
+        let tried = if simulated == 0 { MAX_SELECTED } else { simulated };
+        let mut demonstrations: Vec<Arc<Grasp>> = Vec::new();
+        for grasp in grasps {
+            if demonstrations.len() == CLOSINGS_PER_SIMULATED * tried {
+                break;
+            }
+            if demonstrations.iter().all(|d| !grasp.change_from(d).is_within(&SAME)) {
+                demonstrations.push(Arc::new((*grasp).clone()));
+            }
+        }
+        let closed: Vec<Option<ClosedGrasp<E::Closed>>> =
+            demonstrations.par_iter().map(|g| self.close((**g).clone(), Some(g.clone()))).collect::<Result<_>>()?;
+        let carries = |g: &ClosedGrasp<E::Closed>| g.place < self.loads.len() * FRICTION_STEPS;
+        counts.as_demonstrated = closed.iter().flatten().filter(|g| carries(g)).count();
+        let mut starts: Vec<Start<'_, E>> = demonstrations
+            .iter()
+            .zip(&closed)
+            .map(|(grasp, closed)| Start { grasp, demonstration: Some(grasp), closed: closed.as_ref() })
+            .collect();
+        // Those that are nearest to carrying everything.
+        starts.sort_by_key(|s| s.closed.map_or(usize::MAX, |c| c.place));
+        starts.retain(|s| s.closed.is_none_or(|c| c.place > 0));
+        starts.truncate(REFINED_PER_SIMULATED * tried);
+        let better = match simulated {
+            0 => Vec::new(),
+            _ => self.climb(&starts, REFINEMENTS, REFINEMENT_SIZE, seed)?,
+        };
+        let mut all: Vec<ClosedGrasp<E::Closed>> = Vec::new();
+        // Of each demonstration the best that it became.
+        for grasp in closed.into_iter().flatten().chain(better).filter(carries) {
+            let same = |o: &&mut ClosedGrasp<E::Closed>| match (&o.demonstration, &grasp.demonstration) {
+                (Some(a), Some(b)) => Arc::ptr_eq(a, b),
+                _ => false,
+            };
+            match all.iter_mut().find(same) {
+                Some(before) if grasp.against(before).is_lt() => *before = grasp,
+                Some(_) => {}
+                None => all.push(grasp),
+            }
+        }
+        counts.commanded = all.len();
+        all.sort_by(ClosedGrasp::against);
+        Ok(all)
+    }
+
     /// Closes the hand; `None` if there is no force for anything that it may be asked to carry.
-    fn close(&self, grasp: Grasp) -> Result<Option<ClosedGrasp<E::Closed>>> {
+    fn close(&self, grasp: Grasp, demonstration: Option<Arc<Grasp>>) -> Result<Option<ClosedGrasp<E::Closed>>> {
         let closed = self.evaluator.close(&grasp, &self.closes_on)?;
         let needed = |assumed: &Assumed| -> Result<Option<f64>> {
             Ok(self.evaluator.grip_force_n(&closed, assumed, GripForce::Required)?.ok())
         };
-        for (block, loads) in self.loads.iter().enumerate() {
+        let easier: &[Vec<Assumed>] = if demonstration.is_some() { &self.easier } else { &[] };
+        for (block, loads) in self.loads.iter().chain(easier).enumerate() {
             // More friction is never worse: if the most is too little, all are.
             let (mut at, mut from) = (loads.len() - 1, 0);
             let Some(mut grip_force_n) = needed(&loads[at])? else { continue };
@@ -181,33 +320,57 @@ impl<E: Evaluator> Task<'_, E> {
                     None => from = middle + 1,
                 }
             }
-            return Ok(Some(ClosedGrasp { grasp, closed, place: block * FRICTION_STEPS + at, grip_force_n }));
+            let place = block * FRICTION_STEPS + at;
+            return Ok(Some(ClosedGrasp { grasp, demonstration, closed, place, grip_force_n }));
         }
         Ok(None)
     }
 
+    /// A neighbour of a grasp with the hand closed; `None` if that holds nothing, or is too far from what was demonstrated.
+    fn neighbour(
+        &self,
+        closing: &FingerClosing<'_>,
+        grasp: &Grasp,
+        demonstration: Option<&Arc<Grasp>>,
+        size: f64,
+        (seed, stream): (u64, u64),
+    ) -> Result<Option<ClosedGrasp<E::Closed>>> {
+        let near = match demonstration {
+            // What it holds is up to the dry run.
+            Some(demonstration) => {
+                let near = closing.refined(self.object, grasp, size, seed, stream)?;
+                near.filter(|g| g.change_from(demonstration).is_within(&MOST_REFINED))
+            }
+            None => closing.perturbed(self.object, grasp, size, seed, stream)?,
+        };
+        near.map_or(Ok(None), |grasp| self.close(grasp, demonstration.cloned()))
+    }
+
     /// Where climbing from each grasp leads, over neighbours that carry more, or the same with less force; nothing for a grasp that has no
-    /// better neighbour. The same for any number of threads.
-    fn climb(&self, closed: &[ClosedGrasp<E::Closed>], seed: u64) -> Result<Vec<ClosedGrasp<E::Closed>>> {
+    /// better neighbour. `first` is the relative size of the first perturbations. The same for any number of threads.
+    fn climb(
+        &self,
+        starts: &[Start<'_, E>],
+        perturbations: usize,
+        first: f64,
+        seed: u64,
+    ) -> Result<Vec<ClosedGrasp<E::Closed>>> {
         let closing = FingerClosing::new(self.robot)?;
-        let mut best: Vec<Option<ClosedGrasp<E::Closed>>> = closed.iter().map(|_| None).collect();
+        let mut best: Vec<Option<ClosedGrasp<E::Closed>>> = starts.iter().map(|_| None).collect();
         for generation in 0..GENERATIONS {
-            let size = 1.0 - generation as f64 / GENERATIONS as f64;
-            let perturbations: Vec<(usize, u64)> = (0..closed.len() * PERTURBATIONS)
-                .map(|i| (i / PERTURBATIONS, (generation * closed.len() * PERTURBATIONS + i) as u64))
-                .collect();
-            let found: Vec<Option<(usize, ClosedGrasp<E::Closed>)>> = perturbations
+            let size = first * (1.0 - generation as f64 / GENERATIONS as f64);
+            let all = starts.len() * perturbations;
+            let found: Vec<Option<(usize, ClosedGrasp<E::Closed>)>> = (0..all)
                 .into_par_iter()
-                .map(|(of, stream)| {
-                    let from = best[of].as_ref().unwrap_or(&closed[of]);
-                    let Some(grasp) = closing.perturbed(self.object, &from.grasp, size, seed, stream)? else {
-                        return Ok(None);
-                    };
-                    Ok(self.close(grasp)?.map(|g| (of, g)))
+                .map(|i| {
+                    let (of, stream) = (i / perturbations, (generation * all + i) as u64);
+                    let from = best[of].as_ref().map_or(starts[of].grasp, |b| &b.grasp);
+                    let near = self.neighbour(&closing, from, starts[of].demonstration, size, (seed, stream))?;
+                    Ok(near.map(|g| (of, g)))
                 })
                 .collect::<Result<_>>()?;
             for (of, better) in found.into_iter().flatten() {
-                if better.against(best[of].as_ref().unwrap_or(&closed[of])).is_lt() {
+                if best[of].as_ref().or(starts[of].closed).is_none_or(|b| better.against(b).is_lt()) {
                     best[of] = Some(better);
                 }
             }
@@ -218,32 +381,35 @@ impl<E: Evaluator> Task<'_, E> {
     /// Carries them out: under few conditions all of them, under the others those that went best; these first.
     fn simulate(
         &self,
-        closed: Vec<ClosedGrasp<E::Closed>>,
+        mut closed: Vec<ClosedGrasp<E::Closed>>,
+        simulated: usize,
         masses_kg: &[f64],
         options: &SelectionOptions,
     ) -> Result<Vec<ValidatedGrasp>> {
+        closed.truncate(if simulated == 0 { MAX_SELECTED } else { simulated });
         let conditions = conditions(&options.spread, options.seed);
         let conditions: Vec<(Condition, f64)> = conditions.into_iter().zip(masses_kg.iter().copied().cycle()).collect();
         let validated = |g: ClosedGrasp<E::Closed>| {
             let fingers = self.evaluator.fingers(&g.closed);
-            (ValidatedGrasp { grasp: g.grasp, fingers, scores: Vec::new() }, g.closed)
+            let ClosedGrasp { grasp, demonstration, closed, .. } = g;
+            (ValidatedGrasp { grasp, demonstration, fingers, scores: Vec::new() }, closed)
         };
         let mut validated: Vec<(ValidatedGrasp, E::Closed)> = closed.into_iter().map(validated).collect();
-        if options.simulated == 0 {
+        if simulated == 0 {
             return Ok(validated.into_iter().map(|p| p.0).collect());
         }
         let mut until = 0;
         for (rung, (count_of, one_of)) in RUNGS.into_iter().enumerate() {
             until += count_of;
             validated.par_iter_mut().try_for_each(|p| self.continue_trials(p, &conditions[..until]))?;
-            best(&mut validated, options.simulated.div_ceil(one_of));
+            best(&mut validated, simulated.div_ceil(one_of));
             if rung != MUTATION_RUNG {
                 continue;
             }
             for (generation, size) in MUTATION_SIZES.into_iter().enumerate() {
                 let seed = (!options.seed).wrapping_sub(generation as u64);
                 validated.extend(self.mutate(&validated, &conditions[..until], size, seed)?);
-                best(&mut validated, options.simulated.div_ceil(one_of));
+                best(&mut validated, simulated.div_ceil(one_of));
             }
         }
         Ok(validated.into_iter().map(|p| p.0).collect())
@@ -273,12 +439,11 @@ impl<E: Evaluator> Task<'_, E> {
         let closing = FingerClosing::new(self.robot)?;
         let born = |i: usize| {
             let parent = &parents[i / PERTURBATIONS].0;
-            let Some(grasp) = closing.perturbed(self.object, &parent.grasp, size, seed, i as u64)? else {
-                return Ok(None);
-            };
-            let Some(ClosedGrasp { grasp, closed, .. }) = self.close(grasp)? else { return Ok(None) };
+            let demonstration = parent.demonstration.as_ref();
+            let near = self.neighbour(&closing, &parent.grasp, demonstration, size, (seed, i as u64))?;
+            let Some(ClosedGrasp { grasp, demonstration, closed, .. }) = near else { return Ok(None) };
             let fingers = self.evaluator.fingers(&closed);
-            let mut child = (ValidatedGrasp { grasp, fingers, scores: Vec::new() }, closed);
+            let mut child = (ValidatedGrasp { grasp, demonstration, fingers, scores: Vec::new() }, closed);
             // A few conditions say of most that they are no better.
             for until in [RUNGS[0].0, conditions.len()] {
                 self.continue_trials(&mut child, &conditions[..until])?;
@@ -300,8 +465,13 @@ impl ValidatedGrasp {
         self.scores.iter().sum()
     }
 
+    /// Whether it held under at least three quarters of its conditions.
+    fn is_robust(&self) -> bool {
+        !self.scores.is_empty() && 4 * self.holds() >= 3 * self.scores.len()
+    }
+
     /// Under how many conditions it held.
-    fn holds(&self) -> usize {
+    pub fn holds(&self) -> usize {
         self.scores.iter().filter(|m| **m > 0.0).count()
     }
 }
@@ -336,23 +506,36 @@ fn attempt<E: Evaluator>(evaluator: &E, closed: &E::Closed, condition: &Conditio
     }
 }
 
-/// The first so many by how they went.
+/// The first so many by how they went, one of each demonstration.
 fn best<G>(validated: &mut Vec<(ValidatedGrasp, G)>, most: usize) {
     validated.sort_by(|(a, _), (b, _)| b.score().total_cmp(&a.score()));
+    let mut seen = Vec::new();
+    validated.retain(|(p, _)| {
+        let demonstration = p.demonstration.as_ref().map(Arc::as_ptr);
+        let new = demonstration.is_none_or(|d| !seen.contains(&d));
+        seen.extend(demonstration);
+        new
+    });
     validated.truncate(most);
 }
 
-/// Of those sorted by how they went the best ones, and before them whatever holds under a condition that no better one stands.
-fn selected(validated: Vec<ValidatedGrasp>) -> Vec<ValidatedGrasp> {
-    let best = validated.first().map_or(0.0, ValidatedGrasp::score);
+/// The best of those sorted by how they went: the demonstrated ones that hold about as often as anything does, then whatever holds under a
+/// condition under which nothing before it does, then the best of the others, no more of them than of the demonstrated ones if there are any.
+fn selected(shown: Vec<ValidatedGrasp>, found: Vec<ValidatedGrasp>) -> Vec<ValidatedGrasp> {
+    let most = |of: &dyn Fn(&ValidatedGrasp) -> f64| shown.iter().chain(&found).map(of).fold(0.0, f64::max);
+    let (best, most_holds) = (most(&ValidatedGrasp::score), most(&|p| p.holds() as f64));
     let as_good = |p: &ValidatedGrasp, share: f64| p.score() >= share * best;
-    let mut out: Vec<ValidatedGrasp> = Vec::new();
+    let (mut out, worse): (Vec<ValidatedGrasp>, Vec<ValidatedGrasp>) =
+        shown.into_iter().partition(|p| p.holds() as f64 >= MIN_SCORE_SHARE * most_holds);
+    out.truncate(MAX_SELECTED);
+    let demonstrated = out.len();
     let mut rest = Vec::new();
-    for p in validated {
+    for p in worse.into_iter().chain(found) {
         let new = p.scores.iter().enumerate().any(|(c, m)| *m > 0.0 && out.iter().all(|o| o.scores[c] == 0.0));
         if new && as_good(&p, MIN_SCORE_SHARE_IF_UNIQUE) { out.push(p) } else { rest.push(p) }
     }
-    let room = MAX_SELECTED.saturating_sub(out.len());
+    let room =
+        MAX_SELECTED.min(if demonstrated > 0 { 2 * demonstrated } else { MAX_SELECTED }).saturating_sub(out.len());
     // Those that often fail where others hold would only be in the way; where nothing holds, they are all there is.
     out.extend(rest.into_iter().filter(|p| as_good(p, MIN_SCORE_SHARE)).take(room));
     out
@@ -376,7 +559,8 @@ mod tests {
             (0..FRICTION_STEPS).map(|i| Assumed { mass_kg: *mass_kg, friction: 0.3 + 0.03 * i as f64 }).collect()
         };
         let closes_on = Assumed { mass_kg: masses_kg[0], friction: 0.5 };
-        Task { object, robot, evaluator: &PinchByFirstJoint, closes_on, loads: masses_kg.iter().map(at).collect() }
+        let loads = masses_kg.iter().map(at).collect();
+        Task { object, robot, evaluator: &PinchByFirstJoint, closes_on, loads, easier: Vec::new() }
     }
 
     /// A cube of 57 mm and 120 g.
@@ -402,7 +586,7 @@ mod tests {
             let carries =
                 |b: &&Assumed| PinchByFirstJoint.command(&grasp.joints_rad[0], b, GripForce::Required).unwrap().is_ok();
             let expected = loads.iter().position(carries);
-            let found = task.close(grasp).unwrap();
+            let found = task.close(grasp, None).unwrap();
             assert_eq!(found.as_ref().map(|g| g.place), expected, "{strongest} N");
             if let Some(g) = found {
                 assert_eq!(
@@ -422,11 +606,12 @@ mod tests {
         let task = task(&object, &robot, &[0.02]);
         let found = pinch_grasps(&object, &robot, 20_000, 0).unwrap();
         let mut start: Vec<_> =
-            found.into_iter().filter_map(|g| task.close(g).unwrap()).filter(|g| g.place > 0).collect();
+            found.into_iter().filter_map(|g| task.close(g, None).unwrap()).filter(|g| g.place > 0).collect();
         // Many of them have no neighbour that is better, or none that is out of the object and off the table.
         assert!(start.len() >= 12, "{} to begin with", start.len());
         start.iter_mut().for_each(|g| g.grasp.origin = GraspOrigin::Retargeted);
-        let better = task.climb(&start[..12], 1).unwrap();
+        let starts: Vec<Start<'_, PinchByFirstJoint>> = start[..12].iter().map(Start::from).collect();
+        let better = task.climb(&starts, PERTURBATIONS, 1.0, 1).unwrap();
         assert!(!better.is_empty());
         for b in &better {
             let parent = start.iter().find(|g| g.grasp.source == b.grasp.source).unwrap();
@@ -435,8 +620,51 @@ mod tests {
         }
         let origins = OriginCounts::of(better.iter().map(|b| b.grasp.origin));
         assert_eq!(origins, OriginCounts { refined: better.len(), ..OriginCounts::default() });
-        let again = task.climb(&start[..12], 1).unwrap();
+        let again = task.climb(&starts, PERTURBATIONS, 1.0, 1).unwrap();
         assert!(again.iter().map(|g| &g.grasp).eq(better.iter().map(|g| &g.grasp)));
+    }
+
+    #[test]
+    fn demonstrations_are_refined_until_they_hold_and_others_come_behind_them() {
+        let (object, robot) = cube();
+        // 28 g take 0.92 N where friction is highest and 1.24 N where it is lowest, and a grasp is as strong, N, as its first joint says in rad.
+        let mass_kg = 0.028;
+        let found = pinch_grasps(&object, &robot, 60_000, 0).unwrap();
+        let strength = |g: &Grasp| g.joints_rad[0];
+        let some = |range: std::ops::Range<f64>, origin: Option<GraspOrigin>| {
+            let within = found.iter().filter(|g| range.contains(&strength(g))).take(12).cloned();
+            let grasps: Vec<Grasp> = within.map(|g| Grasp { origin: origin.unwrap_or(g.origin), ..g }).collect();
+            assert_eq!(grasps.len(), 12, "{range:?}");
+            grasps
+        };
+        // Strong ones that nobody demonstrated, demonstrated ones near enough to be refined, and such as are far too weak.
+        let shown = Some(GraspOrigin::Retargeted);
+        let mut all = some(1.35..9.0, None);
+        all.extend(some(0.82..0.91, shown));
+        all.extend(some(0.0..0.4, shown));
+        let evaluator = PinchByFirstJoint;
+        let spread = ConditionSpread::around(Some(0.5));
+        let options = SelectionOptions { spread, simulated: 16, shake_m_s2: 4.9, seed: 2 };
+        let select =
+            |grasps: &[Grasp]| select_grasps(&object, &robot, grasps, &evaluator, &[mass_kg], &options).unwrap();
+        let Selection { grasps, demonstrations: counts, .. } = select(&all);
+        assert_eq!(counts.as_demonstrated, 0, "{counts:?}");
+        assert!(counts.commanded > 0 && counts.held > 0 && counts.selected > 0, "{counts:?}");
+        assert!(counts.demonstrated == 24 && counts.commanded <= 12, "{counts:?}");
+        assert!(2 * counts.selected >= grasps.len(), "{} of {}", counts.selected, grasps.len());
+        for g in &grasps {
+            let Some(demonstration) = &g.demonstration else { continue };
+            assert_eq!((g.grasp.origin, g.grasp.source), (GraspOrigin::Refined, demonstration.source));
+            let change = g.grasp.change_from(demonstration);
+            assert!(change.is_within(&MOST_REFINED) && change.joint_rad > 0.0, "{change:?}");
+            assert!(strength(&g.grasp) > 0.91 && strength(demonstration) < 0.91);
+        }
+        let again = select(&all).grasps;
+        assert!(again.iter().map(|g| &g.grasp).eq(grasps.iter().map(|g| &g.grasp)));
+        // Without demonstrations the others are all there is.
+        let others = select(&all[..12]);
+        assert_eq!(others.demonstrations, DemonstrationCounts::default());
+        assert!(!others.grasps.is_empty());
     }
 
     #[test]
@@ -452,7 +680,15 @@ mod tests {
         let (object, robot) = cube();
         let grasp = pinch_grasps(&object, &robot, 4000, 0).unwrap().swap_remove(0);
         let validated = |scores: &[f64]| {
-            (ValidatedGrasp { grasp: grasp.clone(), fingers: vec![true; 4], scores: scores.to_vec() }, ())
+            (
+                ValidatedGrasp {
+                    grasp: grasp.clone(),
+                    demonstration: None,
+                    fingers: vec![true; 4],
+                    scores: scores.to_vec(),
+                },
+                (),
+            )
         };
         let mut all = vec![validated(&[1.1, 1.0, 1.0]), validated(&[1.5, 1.4, 0.0]), validated(&[1.4, 1.5, 1.25])];
         best(&mut all, 2);
@@ -466,13 +702,14 @@ mod tests {
         let grasp = pinch_grasps(&object, &robot, 4000, 0).unwrap().swap_remove(0);
         let validated = |held: &[u8]| ValidatedGrasp {
             grasp: grasp.clone(),
+            demonstration: None,
             fingers: vec![true; 4],
             scores: held.iter().map(|h| f64::from(*h)).collect(),
         };
         let best = [1, 1, 1, 1, 1, 1, 1, 1, 1, 0];
         let other = [1, 1, 1, 1, 1, 1, 0, 0, 0, 1];
         let worse = [1, 1, 1, 1, 1, 1, 1, 0, 0, 0];
-        let kept = selected(vec![validated(&best), validated(&other), validated(&worse)]);
+        let kept = selected(Vec::new(), vec![validated(&best), validated(&other), validated(&worse)]);
         assert_eq!(kept.len(), 2);
         assert!(kept[1].scores[9] > 0.0 && kept[1].scores[6] == 0.0);
     }

@@ -34,6 +34,10 @@ impl<E: Evaluator> Evaluator for Stoppable<'_, E> {
         self.unless_stopped()?.close(grasp, assumed)
     }
 
+    fn as_proposed(&self, grasp: &Grasp, assumed: &Assumed) -> Result<E::Closed> {
+        self.evaluator.as_proposed(grasp, assumed)
+    }
+
     fn command(
         &self,
         closed: &E::Closed,

@@ -82,6 +82,14 @@ impl Trial {
         closing::plan_closing(&self.0, grasp, assumed)
     }
 
+    /// What [`Trial::plan_closing`] takes the place of: the contacts of the grasp at rest, without a dry run of the closing.
+    ///
+    /// # Errors
+    /// If the grasp is none of this hand.
+    pub fn closing_as_proposed(&self, grasp: &Grasp) -> Result<ClosingPlan> {
+        closing::as_proposed(&self.0, grasp)
+    }
+
     /// The grip force on the contacts of a closing: the second half of [`Trial::command`].
     ///
     /// # Errors

@@ -11,11 +11,11 @@ use std::path::Path;
 
 use criterion::{Criterion, criterion_group, criterion_main};
 use drex_policy::Query;
-use drex_twin::{PredictOptions, Predictor, rank};
+use drex_twin::learn::propose;
+use drex_twin::{PredictOptions, Predictor};
 use nalgebra::Vector3;
 
 fn run(c: &mut Criterion) {
-    sorting(c);
     let Some(demo) = std::env::var_os("DREX_DEMO") else {
         eprintln!("skipped drex grasp: DREX_DEMO names no folder of a demo that has run");
         return;
@@ -29,29 +29,15 @@ fn run(c: &mut Criterion) {
     let points = object.point_cloud(predictor.policy.points(), 0);
     let up = object.world_from_object.rotation.inverse() * Vector3::z();
     let query = Query::new(&points, object.mass_kg(), object.friction).with_up(up);
-    let proposals = rank::proposals(&predictor.policy, &query).unwrap().len();
-    group.bench_function(format!("{proposals} proposals of the network, sorted"), |b| {
-        b.iter(|| black_box(rank::proposals(&predictor.policy, &query).unwrap()))
+    let proposals = propose(&predictor.policy, &query).unwrap().len();
+    group.bench_function(format!("{proposals} proposals of the network"), |b| {
+        b.iter(|| black_box(propose(&predictor.policy, &query).unwrap()))
     });
     let place = predictor.predict().unwrap().place;
     group.bench_function(format!("predict: proposals, and a dry run of each until number {place} is taken"), |b| {
         b.iter(|| black_box(predictor.predict().unwrap()))
     });
     group.finish();
-}
-
-/// The order in which 1000 proposals are tried.
-fn sorting(c: &mut Criterion) {
-    // Weight and newtons, spread by the golden ratio.
-    let proposals: Vec<(f64, f64)> =
-        (0..1000).map(|k| ((0.618 * f64::from(k)).fract(), 1.0 + (0.382 * f64::from(k * k)).fract())).collect();
-    c.bench_function("order of 1000 proposals", |b| {
-        b.iter(|| {
-            let mut proposals = proposals.clone();
-            rank::sort(&mut proposals, |p| p.0, |p| p.1);
-            black_box(proposals)
-        })
-    });
 }
 
 criterion_group!(benches, run);

@@ -190,7 +190,7 @@ pub fn deploy(
         }
         DeployTo::Nothing | DeployTo::Emulated => None,
     };
-    let reach = predictor.reach(prediction)?;
+    let reach = prediction.reach.clone();
     let found = driver.as_ref().and_then(Driver::model);
     let limits = limits(options, &setup, found, prediction)?;
     if let Some(warning) = limits.warning.as_ref().filter(|_| driver.is_none()) {

@@ -13,8 +13,8 @@ use drex_policy::{
 };
 use drex_robot::Robot;
 use drex_trial::{
-    Assumed, Condition, ConditionSpread, Evaluation, Evaluator, GripForce, Selection, SelectionOptions,
-    VALIDATION_SEED, ValidatedGrasp, select_grasps,
+    Assumed, Condition, ConditionSpread, DemonstrationCounts, Evaluation, Evaluator, GripForce, Proposal, Selection,
+    SelectionOptions, VALIDATION_SEED, ValidatedGrasp, select_grasps,
 };
 use nalgebra::{Point3, Vector3};
 use rayon::prelude::*;
@@ -29,17 +29,6 @@ const FRICTION_FACTORS: [f64; 3] = [0.7, 1.0, 1.5];
 const ROUNDS: (usize, usize, usize) = (10, 6, 8);
 /// More than the motors of any hand grip force with, N.
 const MORE_THAN_ANY_N: f64 = 1e4;
-
-/// A grasp that the network proposes.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Proposal {
-    /// The grasp.
-    pub grasp: Grasp,
-    /// Grip force by the network, sum of the normal forces, N.
-    pub grip_force_n: f64,
-    /// Probability among those proposed.
-    pub weight: f64,
-}
 
 /// How a policy is trained.
 #[derive(Debug, Clone, PartialEq)]
@@ -69,6 +58,10 @@ pub struct Learned {
     pub robust: usize,
     /// Grasps that were learned.
     pub learned: OriginCounts,
+    /// These grasps, the best first.
+    pub practised: Vec<ValidatedGrasp>,
+    /// What became of the demonstrations.
+    pub demonstrations: DemonstrationCounts,
     /// Lowest assumed friction at which a closed grasp has a grip force for the heaviest mass.
     pub carries_from: Option<f64>,
     /// Curve and errors of the training.
@@ -108,7 +101,7 @@ impl Learned {
             shake_m_s2: options.shake_m_s2,
             seed: options.train.seed,
         };
-        let Selection { grasps: selected, commanded, robust, carries_from } =
+        let Selection { grasps: selected, commanded, robust, demonstrations, carries_from } =
             select_grasps(object, robot, grasps, evaluator, practice_kg, &selection)?;
         let samples: Vec<GraspSample> = selected
             .par_iter()
@@ -142,7 +135,20 @@ impl Learned {
         let (policy, report) = trainer.finish()?;
         let seconds = [selected_s, learned_s - selected_s, start.elapsed().as_secs_f64() - learned_s];
         let (learned, samples) = (OriginCounts::of(selected.iter().map(|p| p.grasp.origin)), data.samples.len());
-        Ok(Self { policy, shown_kg, commanded, robust, learned, carries_from, report, samples, seconds })
+        let practised = selected;
+        Ok(Self {
+            policy,
+            shown_kg,
+            commanded,
+            robust,
+            learned,
+            practised,
+            demonstrations,
+            carries_from,
+            report,
+            samples,
+            seconds,
+        })
     }
 
     /// The network.
@@ -156,13 +162,21 @@ impl Learned {
     /// If the policy is not defined for what is asked.
     pub fn propose(&self, points: &[Point3<f64>], up: &Vector3<f64>, assumed: &Assumed) -> Result<Vec<Proposal>> {
         let query = Query::new(points, self.shown_kg.unwrap_or(assumed.mass_kg), assumed.friction).with_up(*up);
-        let proposals = self.policy.predict(&query)?.into_iter().map(|g| Proposal {
-            grasp: grasp_of(self.policy.hand(), self.policy.joint_names(), &g),
-            grip_force_n: g.grip_force_n,
-            weight: g.weight,
-        });
-        Ok(proposals.collect())
+        propose(&self.policy, &query)
     }
+}
+
+/// What a policy proposes for what is asked, the most probable first.
+///
+/// # Errors
+/// If the policy is not defined for what is asked.
+pub fn propose(policy: &GraspPolicy, query: &Query<'_>) -> Result<Vec<Proposal>> {
+    let proposal = |g: PredictedGrasp| Proposal {
+        grasp: grasp_of(policy.hand(), policy.joint_names(), &g),
+        grip_force_n: g.grip_force_n,
+        weight: g.weight,
+    };
+    Ok(policy.predict(query)?.into_iter().map(proposal).collect())
 }
 
 /// What a network predicts, as a grasp of this hand. The network's grip force is no part of it: contacts say what force they take.

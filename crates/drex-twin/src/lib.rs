@@ -47,8 +47,6 @@ mod predict;
 #[cfg(feature = "stages")]
 mod progress;
 #[cfg(feature = "stages")]
-pub mod rank;
-#[cfg(feature = "stages")]
 pub mod reconstruct;
 pub mod records;
 #[cfg(feature = "stages")]
@@ -84,10 +82,6 @@ pub use {
     hand::with_torque_cap,
     twin::Twin,
 };
-
-#[cfg(all(test, feature = "stages"))]
-#[path = "../../drex-trial/tests/doubles/formula.rs"]
-mod formula;
 
 /// Runs the examples of the README as tests.
 #[cfg(all(doctest, feature = "stages"))]

@@ -6,21 +6,20 @@ use std::sync::Arc;
 use std::time::Instant;
 
 use drex_core::{ASSUMED_FRICTION, Object, Pose, PoseRecord};
-use drex_grasp::{ContactOptions, FingerContacts, Grasp, HandSurface, paper_force};
+use drex_grasp::{FingerContacts, Grasp, paper_force};
 use drex_mesh::{AssetOptions, LengthUnit, asset_from_mesh, metric_mesh};
-use drex_policy::{GraspPolicy, PredictedGrasp, Query};
+use drex_policy::{GraspPolicy, Query};
 use drex_robot::Robot;
-use drex_trial::{Assumed, Engine, Reach, TrialEvaluator, TrialOptions, plan_reach};
-use nalgebra::{Point3, Translation3, Vector3};
+use drex_trial::{Assumed, Command, Engine, GraspPath, PlannedGrasp, Reach, TrialEvaluator, TrialOptions};
+use nalgebra::{Point3, Vector3};
 use serde::ser::SerializeMap;
 use serde::{Serialize, Serializer};
 
 use crate::error::{Context, refuse};
 use crate::hand::with_torque_cap;
-use crate::learn::grasp_of;
-use crate::rank::Chosen;
+use crate::learn::propose;
 use crate::records::POLICY;
-use crate::{Result, Twin, rank};
+use crate::{Result, Twin};
 
 /// File that makes a folder that of a policy.
 pub(crate) const POLICY_CARD: &str = "policy.json";
@@ -85,6 +84,12 @@ pub struct Prediction {
     pub paper_force: f64,
     /// Why there is no grip force, where there is none.
     pub cannot_hold: Option<String>,
+    /// What the hand is told, where there is a grip force, with the object above the world's origin ([`Object::at_world_origin`]).
+    #[serde(skip)]
+    pub command: Option<Command>,
+    /// How the fingers open before the grasp and close onto the object.
+    #[serde(skip)]
+    pub reach: Reach,
     /// Time of the network, ms; not in files, as it differs from run to run.
     #[serde(skip)]
     pub network_ms: f64,
@@ -172,49 +177,40 @@ impl Predictor {
         Ok(Self { folder, root, ..Self::new(policy, robot, placed(object, options), seed) })
     }
 
-    /// The first grasp in the order of [`rank::sort`] that the hand can hold; the first one, with the reason, if none can.
+    /// The first grasp that the hand can hold on its [`GraspPath`]; the first one, with the reason, if it can hold none.
     ///
     /// # Errors
     /// If the policy is not defined for this mass or object.
     pub fn predict(&self) -> Result<Prediction> {
         let start = Instant::now();
-        let up = self.object.world_from_object.rotation.inverse() * Vector3::z();
+        let up = self.object.table().up.into_inner();
         let query = Query::new(&self.points, self.object.mass_kg(), self.object.friction).with_up(up);
-        let predicted = rank::proposals(&self.policy, &query)?;
+        let proposals = propose(&self.policy, &query)?;
         let network_ms = 1e3 * start.elapsed().as_secs_f64();
         let start = Instant::now();
         let assumed = Assumed { mass_kg: self.object.mass_kg(), friction: self.object.friction };
         let robot = Arc::new(self.robot.clone());
-        let (options, standing) = (TrialOptions::default(), on_table(&self.object));
+        let (options, standing) = (TrialOptions::default(), self.object.clone().at_world_origin());
         let evaluator = TrialEvaluator::new(&standing, &robot, &options, Engine::Diffsim)?;
-        let grasps: Vec<Grasp> =
-            predicted.iter().map(|p| grasp_of(self.policy.hand(), self.policy.joint_names(), p)).collect();
-        let chosen = rank::first_commanded(&evaluator, &grasps, &assumed)?;
-        let mut prediction = self.prediction(&predicted[chosen.place - 1], &chosen);
+        let planned = GraspPath::default().plan(&evaluator, proposals, &assumed)?;
+        let mut prediction = self.prediction(planned);
         (prediction.network_ms, prediction.force_ms) = (network_ms, 1e3 * start.elapsed().as_secs_f64());
         Ok(prediction)
     }
 
-    /// How the fingers open before the grasp and close onto the object.
-    ///
-    /// # Errors
-    /// If the hand has no collision shapes.
-    pub fn reach(&self, prediction: &Prediction) -> Result<Reach> {
-        let surface = HandSurface::new(&self.robot, ContactOptions::default().spacing_m)?;
-        let world_from_object = self.object.world_from_object;
-        let (grasp, object) = (&prediction.grasp, self.object.geometry.exact());
-        let (joints, pose) = (&grasp.joints_rad, &grasp.object_from_base);
-        Ok(plan_reach(&self.robot, &surface, joints, pose, object, &world_from_object))
-    }
-
-    fn prediction(&self, predicted: &PredictedGrasp, chosen: &Chosen<TrialEvaluator>) -> Prediction {
+    fn prediction(&self, planned: PlannedGrasp<TrialEvaluator>) -> Prediction {
         let Self { robot, object, .. } = self;
-        let command = chosen.command.as_ref().ok();
-        let links: Vec<usize> = match command {
-            Some(command) => command.contact_forces.iter().map(|f| f.link).collect(),
-            None => chosen.closed.contacts().iter().map(|c| c.link).collect(),
+        let PlannedGrasp { proposal, place, closed, command } = planned;
+        let (command, cannot_hold) = match command {
+            Ok(command) => (Some(command), None),
+            Err(reason) => (None, Some(reason.to_string())),
         };
-        let per_finger_n = command.map_or(&[][..], |c| &c.per_finger_n);
+        let links: Vec<usize> = match &command {
+            Some(command) => command.contact_forces.iter().map(|f| f.link).collect(),
+            None => closed.contacts().iter().map(|c| c.link).collect(),
+        };
+        let held = command.as_ref();
+        let per_finger_n = held.map_or(&[][..], |c| &c.per_finger_n);
         let mut contacts: Vec<FingerContacts> = Vec::new();
         for (i, finger) in robot.fingers().into_iter().enumerate() {
             let count = links.iter().filter(|l| finger.links.contains(l)).count();
@@ -231,27 +227,29 @@ impl Predictor {
             finger: "palm".into(),
             contacts: links.len().saturating_sub(of_fingers),
             touches: false,
-            normal_n: command.map_or(0.0, |c| (c.grip_force_n - of_fingers_n).max(0.0)),
+            normal_n: held.map_or(0.0, |c| (c.grip_force_n - of_fingers_n).max(0.0)),
         });
         let touching = contacts.iter().filter(|f| f.contacts > 0).count();
-        let world_from_base = object.world_from_object * predicted.object_from_base;
+        let world_from_base = object.world_from_object * proposal.grasp.object_from_base;
         let down = world_from_base.rotation.inverse() * Vector3::new(0.0, 0.0, -9.81);
-        let own_nm = robot.gravity_torque(chosen.closed.joints_rad(), &down);
+        let own_nm = robot.gravity_torque(closed.joints_rad(), &down);
         let joint_torques_nm =
-            command.map(|c| c.torques_nm.iter().zip(own_nm.iter()).map(|(grip, own)| grip + own).collect());
+            held.map(|c| c.torques_nm.iter().zip(own_nm.iter()).map(|(grip, own)| grip + own).collect());
         Prediction {
-            grasp: grasp_of(&robot.name, self.policy.joint_names(), predicted),
+            grasp: proposal.grasp,
             world_from_base: PoseRecord::from(&world_from_base),
-            weight: predicted.weight,
-            place: chosen.place,
+            weight: proposal.weight,
+            place,
             mass_kg: object.mass_kg(),
             friction: object.friction,
-            grip_force_n: predicted.grip_force_n,
-            needed_grip_force_n: command.map(|c| c.grip_force_n),
+            grip_force_n: proposal.grip_force_n,
+            needed_grip_force_n: held.map(|c| c.grip_force_n),
             contacts,
             joint_torques_nm: joint_torques_nm.unwrap_or_default(),
             paper_force: paper_force(object.mass_kg(), 9.81, touching),
-            cannot_hold: chosen.command.as_ref().err().map(ToString::to_string),
+            cannot_hold,
+            reach: closed.reach().clone(),
+            command,
             network_ms: 0.0,
             force_ms: 0.0,
         }
@@ -265,13 +263,6 @@ fn hand_and_joints<S: Serializer>(grasp: &Grasp, serializer: S) -> Result<S::Ok,
     keys.serialize_entry("joint_names", &grasp.joint_names)?;
     keys.serialize_entry("joints_rad", &grasp.joints_rad)?;
     keys.end()
-}
-
-/// The object, turned as it is, on the table z = 0 about the origin: where the world has its own does not matter.
-fn on_table(object: &Object) -> Object {
-    let turned = Pose::from_parts(Translation3::identity(), object.world_from_object.rotation);
-    let lowest_m = object.bounds_at(&turned).map_or(0.0, |(low, _)| low.z);
-    object.clone().with_rest_pose(Translation3::new(0.0, 0.0, -lowest_m) * turned)
 }
 
 /// The object where the options say that it stands.

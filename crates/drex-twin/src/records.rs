@@ -5,10 +5,11 @@ use std::path::Path;
 use crate::Result;
 use crate::error::Context;
 use drex_core::{PoseRecord, fsutil};
-use drex_grasp::{Grasp, GraspEvaluation, GraspOrigin, GripForcePolicy};
+use drex_grasp::{Grasp, GraspChange, GraspEvaluation, GraspOrigin, GripForcePolicy};
 use drex_hw::driver::ContactRecord;
 use drex_robot::Robot;
 use drex_sysid::{Identification, MassDistribution, MassPosterior, MassPrior, MassSource};
+use drex_trial::{DemonstrationCounts, ValidatedGrasp};
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 
@@ -287,6 +288,39 @@ pub struct PracticeRecord {
     pub commanded: usize,
     /// Number of grasps that held under most conditions.
     pub robust: usize,
+    /// What became of the demonstrated ones.
+    #[serde(default)]
+    pub demonstrations: DemonstrationCounts,
+    /// The grasps that were learned, the best first.
+    #[serde(default)]
+    pub learned: Vec<PractisedGrasp>,
+}
+
+/// A grasp that was learned because it held in simulation.
+#[derive(Debug, Clone, Serialize, Deserialize)]
+pub struct PractisedGrasp {
+    /// The grasp.
+    pub grasp: Grasp,
+    /// Number of conditions under which it held, and of those under which it was tried.
+    pub held: [usize; 2],
+    /// The demonstrated grasp that it is or was made of.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub demonstration: Option<Grasp>,
+    /// How far it is from that.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub change: Option<GraspChange>,
+}
+
+impl From<&ValidatedGrasp> for PractisedGrasp {
+    fn from(g: &ValidatedGrasp) -> Self {
+        let demonstration = g.demonstration.as_deref();
+        Self {
+            grasp: g.grasp.clone(),
+            held: [g.holds(), g.scores.len()],
+            demonstration: demonstration.cloned(),
+            change: demonstration.map(|d| g.grasp.change_from(d)),
+        }
+    }
 }
 
 /// `policy/trial.json`: the grasp that `drex grasp` gives, lifted, held and shaken in simulation.

@@ -9,7 +9,7 @@ use std::time::Duration;
 use super::fault_log::FaultLog;
 use super::stats::Meter;
 use super::{ControlOptions, Controller, JointFault, Joints, LoopStats};
-use crate::{Clock, Error, Hand, HandCommand, HandState, Result};
+use crate::{Clock, Error, Hand, HandCommand, HandState, JointStatus, Result};
 
 /// How often a hand that does not take its torque off is told again at least, and the time between two tries after that.
 const TRIES: usize = 3;
@@ -18,6 +18,10 @@ const RETRY: Duration = Duration::from_millis(5);
 const PUBLISH: u64 = 64;
 /// A cycle that begins this much later than one period after the one before comes after a stall: the program was stopped or starved.
 const STALL: Duration = Duration::from_millis(50);
+
+/// How long a hand that is silent when the controller is done is listened to: a moment without reports may be one in which this machine did
+/// something else.
+const LAST_LOOK: Duration = Duration::from_millis(100);
 
 /// Why a loop ended.
 #[derive(Debug)]
@@ -138,7 +142,7 @@ fn turns(
     let mut flow = ControlFlow::Continue(());
     // Since when the hand is out of reach, and for how long the controller's time stood still in all.
     let (mut lost, mut outage) = (None, Duration::ZERO);
-    let mut last = begin;
+    let (mut last, mut done) = (begin, None);
     loop {
         clock.wait_until(due);
         if options.is_stopped() {
@@ -151,7 +155,7 @@ fn turns(
             // An outage is counted in full when it ends.
             outage += if lost.is_none() { stall } else { Duration::ZERO };
         }
-        if lost.is_none() {
+        if lost.is_none() && done.is_none() {
             let time = began.saturating_sub(begin + outage);
             flow = controller.command(time.as_secs_f64(), state, &mut command)?;
             lowering.apply(&mut command.effort_limit, hand.effort_caps(), state, options, faults);
@@ -187,7 +191,10 @@ fn turns(
             });
         }
         if flow.is_break() && lost.is_none() {
-            return Ok(StopReason::Done);
+            let silent = state.status.contains(&JointStatus::Silent);
+            if !silent || ended.saturating_sub(*done.get_or_insert(ended)) >= LAST_LOOK {
+                return Ok(StopReason::Done);
+            }
         }
         due += period;
         let behind = ended.saturating_sub(due);

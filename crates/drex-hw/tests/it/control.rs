@@ -393,6 +393,9 @@ fn joints_in_trouble_are_named_in_the_report() {
     assert_eq!(faults(|w| w.fault = Some((10, 14, JointStatus::Faulted(32)))), [(1, recovered)]);
     let ended = faults(|w| w.fault = Some((10, 1000, JointStatus::Silent)));
     assert_eq!(ended, [(1, JointFault::Lasting(JointStatus::Silent))]);
+    // What is silent when the controller is done may be heard a moment later.
+    let late = JointFault::Recovered { from: JointStatus::Silent, cycles: 8 };
+    assert_eq!(faults(|w| w.fault = Some((38, 45, JointStatus::Silent))), [(1, late)]);
     // A loop that ends by an error tells too.
     let ended = faults(|w| (w.fault, w.fail_at) = (Some((10, 12, JointStatus::Faulted(32))), Some(13)));
     assert_eq!(ended, [(1, JointFault::Lasting(faulted))]);

@@ -19,6 +19,10 @@ impl Evaluator for PinchFormula {
         Ok(())
     }
 
+    fn as_proposed(&self, _: &Grasp, _: &Assumed) -> Result<()> {
+        Ok(())
+    }
+
     fn command(&self, (): &(), assumed: &Assumed, force: GripForce) -> Result<Result<f64, NoCommand>> {
         let needed = 1.5 * 1.1 * assumed.mass_kg * 9.81 / (0.9 * assumed.friction);
         let wanted = match force {
@@ -73,6 +77,10 @@ impl Evaluator for PinchByFirstJoint {
 
     fn close(&self, grasp: &Grasp, _: &Assumed) -> Result<f64> {
         Ok(grasp.joints_rad[0])
+    }
+
+    fn as_proposed(&self, grasp: &Grasp, assumed: &Assumed) -> Result<f64> {
+        self.close(grasp, assumed)
     }
 
     fn command(&self, closed: &f64, assumed: &Assumed, force: GripForce) -> Result<Result<f64, NoCommand>> {

@@ -18,9 +18,14 @@ pub(crate) struct Simulated {
 }
 
 impl Simulated {
-    /// The twin's object at this mass.
+    /// The twin's object at this mass, with fast distances for a search.
     pub fn of(twin: &Twin, robot: &Robot, mass_kg: f64) -> Result<Self> {
-        let object = twin.asset()?.to_object(&twin.manifest.name)?.with_mass(mass_kg);
+        Self::new(twin.asset()?.to_object(&twin.manifest.name)?, robot, mass_kg)
+    }
+
+    /// This object at this mass.
+    pub fn new(object: Object, robot: &Robot, mass_kg: f64) -> Result<Self> {
+        let object = object.with_mass(mass_kg).at_world_origin();
         let robot = Arc::new(robot.clone());
         let evaluator = TrialEvaluator::new(&object, &robot, &TrialOptions::default(), Engine::Diffsim)?;
         Ok(Self { robot, object, evaluator })

@@ -14,7 +14,7 @@ use rayon::prelude::*;
 use super::simulated::Simulated;
 use crate::learn::{self, LearnOptions, Learned, MASS_FACTORS, POINTS, labels};
 use crate::progress::flow;
-use crate::records::{CURVE, FITS, POLICY, PracticeRecord, TRAINING, read_json, write_json};
+use crate::records::{CURVE, FITS, POLICY, PracticeRecord, PractisedGrasp, TRAINING, read_json, write_json};
 use crate::records::{FitFile, FitRecord, MassFile, Training};
 use crate::scene::Scene;
 use crate::{Error, Progress, Result, Twin};
@@ -93,7 +93,12 @@ fn validated(
         tried: OriginCounts::of(grasps.iter().map(|g| g.origin)),
         samples: learned.samples,
         report: learned.report.clone(),
-        practice: Some(PracticeRecord { commanded: learned.commanded, robust: learned.robust }),
+        practice: Some(PracticeRecord {
+            commanded: learned.commanded,
+            robust: learned.robust,
+            demonstrations: learned.demonstrations,
+            learned: learned.practised.iter().map(PractisedGrasp::from).collect(),
+        }),
     };
     write(twin, learned.policy(), &training)
 }

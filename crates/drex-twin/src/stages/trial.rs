@@ -3,16 +3,15 @@
 use std::path::PathBuf;
 
 use drex_core::PoseRecord;
-use drex_grasp::Grasp;
 use drex_policy::{GraspPolicy, Query};
-use drex_trial::{Command, Condition, ConditionSpread, Evaluator, Frame, Verdict, wilson};
+use drex_trial::{Command, Condition, ConditionSpread, Evaluator, Frame, GraspPath, Verdict, wilson};
 use rayon::prelude::*;
 
 use super::simulated::Simulated;
 use crate::Progress;
-use crate::learn::{POINTS, grasp_of};
+use crate::learn::{POINTS, propose};
 use crate::records::{POLICY, RecordedFrame, RolloutRecord, TRIAL, TrialFile, write_json};
-use crate::{Error, Result, Twin, rank};
+use crate::{Error, Result, Twin};
 
 /// Rollouts.
 const ROLLOUTS: usize = 24;
@@ -27,7 +26,8 @@ pub(crate) fn make(twin: &Twin, progress: &dyn Progress) -> Result<Vec<PathBuf>>
     let mass = twin.mass()?;
     let robot = twin.hand()?;
     let policy = GraspPolicy::load(&twin.path(POLICY))?;
-    let simulated = Simulated::of(twin, &robot, mass.grip_kg)?;
+    // As `drex grasp` plans it: with exact distances.
+    let simulated = Simulated::new(twin.object()?, &robot, mass.grip_kg)?;
     let spread = ConditionSpread::around(Some(twin.friction()));
     let conditions = spread.conditions(ROLLOUTS, twin.seed ^ TRIAL_SEED);
     let true_masses_kg = mass.posterior.sample_kg(ROLLOUTS, twin.seed ^ TRIAL_SEED ^ MASS_SEED);
@@ -41,9 +41,7 @@ pub(crate) fn make(twin: &Twin, progress: &dyn Progress) -> Result<Vec<PathBuf>>
         }
         let assumed = condition.assumed(mass.grip_kg);
         let query = Query::new(&cloud, assumed.mass_kg, assumed.friction).with_up(up);
-        let proposals = rank::proposals(&policy, &query)?;
-        let grasps: Vec<Grasp> = proposals.iter().map(|p| grasp_of(policy.hand(), policy.joint_names(), p)).collect();
-        let chosen = rank::first_commanded(&simulated.evaluator, &grasps, &assumed)?;
+        let planned = GraspPath::default().plan(&simulated.evaluator, propose(&policy, &query)?, &assumed)?;
         let mut record = RolloutRecord {
             verdict: Verdict::NoContact,
             mass_kg: *true_kg,
@@ -53,11 +51,11 @@ pub(crate) fn make(twin: &Twin, progress: &dyn Progress) -> Result<Vec<PathBuf>>
             held_n: None,
             friction_used: None,
         };
-        let command = match chosen.command {
+        let command = match planned.command {
             Ok(command) => {
                 let outcome = simulated.evaluator.evaluate(&command, &condition.truth(*true_kg))?;
                 record.verdict = outcome.verdict;
-                (record.proposal, record.grip_force_n) = (chosen.place, outcome.grip_force_n);
+                (record.proposal, record.grip_force_n) = (planned.place, outcome.grip_force_n);
                 (record.held_n, record.friction_used) = (outcome.held_n, outcome.friction_used);
                 Some(command)
             }
