@@ -339,13 +339,13 @@ impl<E: Evaluator> Bench<'_, E> {
             Actor::Policy(learned, ..) if self.ablations && setting.path == whole => learned,
             _ => return self.row(ready, actor, labels, setting, least_friction, table),
         };
-        let practised = Actor::Always(learned.practised.iter().map(|p| always(p.grasp.clone())).collect());
+        let validated = Actor::Always(learned.validated.iter().map(|p| always(p.grasp.clone())).collect());
         let easiest = Actor::Always(self.easiest(ready)?);
         let fixed = GraspPath { force: PathForce::Fixed(FIXED_N), ..whole };
         let unchecked = GraspPath { dry_run: false, ..whole };
         let steps = [
             ("whole", actor, whole),
-            ("no network", &practised, whole),
+            ("no network", &validated, whole),
             ("no network, no practice", &easiest, whole),
             ("no dry run", actor, unchecked),
             ("fixed force", actor, fixed),

@@ -17,7 +17,7 @@ use drex_core::stats::median;
 use drex_grasp::{GraspOrigin, OriginCounts};
 use drex_trial::DemonstrationCounts;
 use drex_twin::Twin;
-use drex_twin::records::{EvaluatedGrasp, Evaluation, FitFile, FitRecord, PracticeRecord, PractisedGrasp, Training};
+use drex_twin::records::{EvaluatedGrasp, Evaluation, FitFile, FitRecord, LearnedGrasp, PracticeRecord, Training};
 
 /// Fits that push the object out of the hand by less than this hold it between the fingers.
 const PUSHED_OUT: f64 = 0.1;
@@ -108,7 +108,7 @@ pub fn training(page: &mut Page, twin: &Twin, asset: &Asset, training: &Training
         ));
     }
     if let Some(practice) = &training.practice {
-        practised(page, &Stage::new(twin, asset)?, practice)?;
+        learned(page, &Stage::new(twin, asset)?, practice)?;
     }
     page.paragraph(&format!(
         "{} parameters, {} samples for training ({} grasps at several masses) and {} held out. From surface points and mass to \
@@ -156,7 +156,7 @@ pub fn training(page: &mut Page, twin: &Twin, asset: &Asset, training: &Training
 }
 
 /// How far the demonstrations came in simulation, and the grasps that were learned.
-fn practised(page: &mut Page, stage: &Stage<'_>, practice: &PracticeRecord) -> Result<()> {
+fn learned(page: &mut Page, stage: &Stage<'_>, practice: &PracticeRecord) -> Result<()> {
     let DemonstrationCounts { demonstrated, as_demonstrated, commanded, held, selected } = practice.demonstrations;
     if demonstrated > 0 {
         page.paragraph(&format!(
@@ -165,7 +165,7 @@ fn practised(page: &mut Page, stage: &Stage<'_>, practice: &PracticeRecord) -> R
              conditions, and {selected} were learned."
         ));
     }
-    let row = |g: &PractisedGrasp| {
+    let row = |g: &LearnedGrasp| {
         let change = g.change.map_or(vec!["-".to_owned(); 3], |c| {
             vec![
                 format!("{:.2}", c.joint_rad),

@@ -77,14 +77,14 @@ pub fn findings(twin: &Twin, last: Stage) -> Result<Findings> {
         let training: Training = files::read_json(&twin.path(files::TRAINING))?;
         let Training { learned, tried, .. } = &training;
         text += &format!("  learned    {}\n", learned_line(learned, tried));
-        let practised = training.practice.as_ref().filter(|p| p.demonstrations.demonstrated > 0);
-        if let Some(practice) = practised {
+        let validated = training.practice.as_ref().filter(|p| p.demonstrations.demonstrated > 0);
+        if let Some(practice) = validated {
             text += &format!("  refined    {}\n", refined_line(practice));
         }
         found.insert(
             "learned".into(),
             json!({ "learned": learned.total(), "demonstrated": learned.demonstrated, "refined": learned.refined,
-                    "searched": learned.searched, "tried": tried, "demonstrations": practised.map(|p| p.demonstrations) }),
+                    "searched": learned.searched, "tried": tried, "demonstrations": validated.map(|p| p.demonstrations) }),
         );
     }
     if has_grasps && last >= Stage::Evaluate {

@@ -59,7 +59,7 @@ pub struct Learned {
     /// Grasps that were learned.
     pub learned: OriginCounts,
     /// These grasps, the best first.
-    pub practised: Vec<ValidatedGrasp>,
+    pub validated: Vec<ValidatedGrasp>,
     /// What became of the demonstrations.
     pub demonstrations: DemonstrationCounts,
     /// Lowest assumed friction at which a closed grasp has a grip force for the heaviest mass.
@@ -135,14 +135,14 @@ impl Learned {
         let (policy, report) = trainer.finish()?;
         let seconds = [selected_s, learned_s - selected_s, start.elapsed().as_secs_f64() - learned_s];
         let (learned, samples) = (OriginCounts::of(selected.iter().map(|p| p.grasp.origin)), data.samples.len());
-        let practised = selected;
+        let validated = selected;
         Ok(Self {
             policy,
             shown_kg,
             commanded,
             robust,
             learned,
-            practised,
+            validated,
             demonstrations,
             carries_from,
             report,

@@ -293,12 +293,12 @@ pub struct PracticeRecord {
     pub demonstrations: DemonstrationCounts,
     /// The grasps that were learned, the best first.
     #[serde(default)]
-    pub learned: Vec<PractisedGrasp>,
+    pub learned: Vec<LearnedGrasp>,
 }
 
 /// A grasp that was learned because it held in simulation.
 #[derive(Debug, Clone, Serialize, Deserialize)]
-pub struct PractisedGrasp {
+pub struct LearnedGrasp {
     /// The grasp.
     pub grasp: Grasp,
     /// Number of conditions under which it held, and of those under which it was tried.
@@ -311,7 +311,7 @@ pub struct PractisedGrasp {
     pub change: Option<GraspChange>,
 }
 
-impl From<&ValidatedGrasp> for PractisedGrasp {
+impl From<&ValidatedGrasp> for LearnedGrasp {
     fn from(g: &ValidatedGrasp) -> Self {
         let demonstration = g.demonstration.as_deref();
         Self {

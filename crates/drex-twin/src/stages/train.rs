@@ -14,7 +14,7 @@ use rayon::prelude::*;
 use super::simulated::Simulated;
 use crate::learn::{self, LearnOptions, Learned, MASS_FACTORS, POINTS, labels};
 use crate::progress::flow;
-use crate::records::{CURVE, FITS, POLICY, PracticeRecord, PractisedGrasp, TRAINING, read_json, write_json};
+use crate::records::{CURVE, FITS, LearnedGrasp, POLICY, PracticeRecord, TRAINING, read_json, write_json};
 use crate::records::{FitFile, FitRecord, MassFile, Training};
 use crate::scene::Scene;
 use crate::{Error, Progress, Result, Twin};
@@ -97,7 +97,7 @@ fn validated(
             commanded: learned.commanded,
             robust: learned.robust,
             demonstrations: learned.demonstrations,
-            learned: learned.practised.iter().map(PractisedGrasp::from).collect(),
+            learned: learned.validated.iter().map(LearnedGrasp::from).collect(),
         }),
     };
     write(twin, learned.policy(), &training)
