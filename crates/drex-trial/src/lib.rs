@@ -38,7 +38,7 @@ pub use find::{FindOptions, TriedGrasp, find_grasp, find_grasp_watched};
 pub use options::TrialOptions;
 pub use outcome::{Outcome, Verdict};
 pub use path::{GraspPath, PathForce, PlannedGrasp, Proposal, sort_proposals};
-pub use reach::{Reach, plan as plan_reach};
+pub use reach::Reach;
 pub use selection::{DemonstrationCounts, Selection, SelectionOptions, VALIDATION_SEED, ValidatedGrasp, select_grasps};
 pub use stats::{Interval, paired_difference, wilson};
 pub use stoppable::Stoppable;

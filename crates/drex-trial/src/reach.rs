@@ -55,7 +55,7 @@ impl Reach {
 
 /// Plans opening, closing and approach of a grasp: `joints` in rad, model order, `object_from_base` where the hand's base is, `object` the
 /// distance to the object in its own frame, `world_from_object` with z up and the table at 0.
-pub fn plan(
+pub(crate) fn plan(
     robot: &Robot,
     surface: &HandSurface,
     joints: &[f64],
