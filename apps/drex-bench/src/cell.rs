@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 
 use anyhow::Result;
 use drex_trial::{
-    Assumed, Condition, Evaluation, Evaluator, GraspPath, Interval, NoCommand, Proposal, Verdict, wilson,
+    Assumed, Condition, Evaluation, Evaluator, GraspPath, Interval, NoCommand, PathForce, Proposal, Verdict, wilson,
 };
 use drex_twin::learn::Learned;
 use nalgebra::{Point3, Vector3};
@@ -149,11 +149,12 @@ impl<E: Evaluator> Cell<'_, E> {
         let Setting { mass_kg, told, path, choice } = &self.setting;
         let told = condition.assumed(told.mass_kg(*mass_kg, condition.mass_error));
         let chosen_for = match choice {
-            Choice::AssumedMass => told,
-            Choice::True => condition.assumed(*mass_kg),
+            // The force of a proposal is for what was asked, which must not be the truth.
+            Choice::True if path.force != PathForce::Proposed => condition.assumed(*mass_kg),
+            Choice::True | Choice::AssumedMass => told,
         };
         let planned = path.plan(self.evaluator, self.actor.propose(&chosen_for)?, &chosen_for)?;
-        if *choice == Choice::AssumedMass || planned.command.is_err() {
+        if chosen_for == told || planned.command.is_err() {
             return Ok(planned.command);
         }
         // It is this grip, also where there is no force for what is told: cells differ in force alone.
@@ -259,7 +260,7 @@ mod tests {
     impl drex_twin::Progress for Silent {}
 
     #[test]
-    fn what_is_deployed_is_what_a_table_judges() {
+    fn what_is_deployed_is_what_a_table_evaluates() {
         let robot = Arc::new(Robot::bundled("leap_right").unwrap());
         let object = BenchObject::new(&objects::named("cube").unwrap()).unwrap().object;
         let evaluator = TrialEvaluator::new(&object, &robot, &TrialOptions::default(), Engine::Diffsim).unwrap();
@@ -281,8 +282,10 @@ mod tests {
         let setting = Setting { mass_kg: object.mass_kg(), told, path, choice: Choice::AssumedMass };
         let (evaluator, labels) = (&evaluator, vec![]);
         let cell = Cell { labels, evaluator, actor: &actor, setting, least_friction: None, compare: false };
-        let told = Condition { friction_factor: 1.0, ..ConditionSpread::around(Some(0.5)).conditions(1, 5)[0] };
-        let tabled = cell.plan(&Condition { friction: object.friction, ..told }).unwrap().unwrap();
+        let (kg, friction) = (object.mass_kg(), object.friction);
+        let condition = ConditionSpread::around(Some(friction)).conditions(1, 5)[0];
+        let condition = Condition { friction_factor: 1.0, friction, ..condition };
+        let tabled = cell.plan(&condition).unwrap().unwrap();
 
         let folder = tempfile::tempdir().unwrap();
         learned.policy().save(folder.path()).unwrap();
@@ -294,6 +297,18 @@ mod tests {
         // All digits of all numbers.
         let bytes = |command: &Command| format!("{command:?}");
         assert_eq!(bytes(prediction.command.as_ref().unwrap()), bytes(&tabled));
+        assert!(bytes(&tabled).contains(&format!("{:?}", prediction.reach)), "fingers open and close otherwise");
+
+        // A network's force is the one for what the hand is told, whatever is true.
+        let by_network = |mass_kg: f64, told: AssumedMass| {
+            let path = GraspPath { force: PathForce::Proposed, ..GraspPath::default() };
+            let setting = Setting { mass_kg, told, path, choice: Choice::True };
+            let cell = Cell { labels: vec![], evaluator, actor: &actor, setting, least_friction: None, compare: false };
+            bytes(&cell.plan(&condition).unwrap().unwrap())
+        };
+        let half = 0.5 * kg;
+        assert_eq!(by_network(kg, AssumedMass::Always(half)), by_network(half, AssumedMass::Times(1.0)));
+        assert_ne!(by_network(kg, AssumedMass::Always(half)), by_network(kg, AssumedMass::Times(1.0)));
 
         deploy(&predictor, &prediction, &DeployOptions::default(), &EStop::new(), &Silent).unwrap();
         let text = std::fs::read(folder.path().join("deploy.json")).unwrap();

@@ -160,7 +160,7 @@ fn learned(page: &mut Page, stage: &Stage<'_>, practice: &PracticeRecord) -> Res
     let DemonstrationCounts { demonstrated, as_demonstrated, commanded, held, selected } = practice.demonstrations;
     if demonstrated > 0 {
         page.paragraph(&format!(
-            "Of {demonstrated} demonstrated grasps and variations of them the motors can hold the object with {as_demonstrated} as they are and \
+            "Of {demonstrated} distinct demonstrated grasps and variants of them the motors can hold the object with {as_demonstrated} as they are and \
              with {commanded} after a local refinement, once the hand has closed; of those that were lifted, held and shaken {held} held under most \
              conditions, and {selected} were learned."
         ));
@@ -191,7 +191,11 @@ fn learned(page: &mut Page, stage: &Stage<'_>, practice: &PracticeRecord) -> Res
         practice.learned.iter().filter_map(|g| Some((g, g.demonstration.as_ref()?))).take(SHOWN / 2)
     {
         let before = stage.picture(&demonstration.joints_rad, &demonstration.object_from_base)?;
-        pictures.push((before, "as demonstrated, on the object".to_owned()));
+        let what = match demonstration.origin {
+            GraspOrigin::Retargeted => "as demonstrated, on the object",
+            _ => "a variant of a demonstrated grasp, before it was refined",
+        };
+        pictures.push((before, what.to_owned()));
         let after = stage.picture(&g.grasp.joints_rad, &g.grasp.object_from_base)?;
         pictures.push((after, format!("as it held under {} of {} conditions", g.held[0], g.held[1])));
     }

@@ -142,7 +142,7 @@ fn learned_line(learned: &OriginCounts, tried: &OriginCounts) -> String {
     format!("{} grasps: {learned}; tried were {tried}", learned.total())
 }
 
-/// "37 demonstrated: 11 can hold it, 6 of them as they are; 3 held in practice, 3 learned, changed by up to 0.38 rad, 11.0 mm and 9.9 degrees".
+/// "37 distinct: 11 can hold it, 6 of them as they are; 3 held in practice, 3 learned, changed by up to 0.38 rad, 11.0 mm and 9.9 degrees".
 fn refined_line(practice: &PracticeRecord) -> String {
     let DemonstrationCounts { demonstrated, as_demonstrated, commanded, held, selected } = practice.demonstrations;
     let changes = || practice.learned.iter().filter_map(|g| g.change);
@@ -157,7 +157,7 @@ fn refined_line(practice: &PracticeRecord) -> String {
         ),
     };
     format!(
-        "{demonstrated} demonstrated: {commanded} can hold it, {as_demonstrated} of them as they are; {held} held in practice, {selected} learned{changed}"
+        "{demonstrated} distinct: {commanded} can hold it, {as_demonstrated} of them as they are; {held} held in practice, {selected} learned{changed}"
     )
 }
 
@@ -245,7 +245,7 @@ mod tests {
         let practice = PracticeRecord { commanded: 60, robust: 5, demonstrations, learned: Vec::new() };
         let text = refined_line(&practice);
         assert!(
-            text.starts_with("37 demonstrated: 11 can hold it, 6 of them as they are; 3 held in practice, 1 learned"),
+            text.starts_with("37 distinct: 11 can hold it, 6 of them as they are; 3 held in practice, 1 learned"),
             "{text}"
         );
     }

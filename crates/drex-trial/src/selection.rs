@@ -98,7 +98,7 @@ pub struct ValidatedGrasp {
 pub struct Selection {
     /// The selected grasps, the best first.
     pub grasps: Vec<ValidatedGrasp>,
-    /// Number of closed grasps for which there is a grip force.
+    /// Number of closed grasps for which there is a grip force, refined ones and better neighbours among them.
     pub commanded: usize,
     /// Number of grasps that held under at least three quarters of their conditions.
     pub robust: usize,
@@ -111,7 +111,7 @@ pub struct Selection {
 /// How many demonstrated grasps came how far, themselves or as what was made of them.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct DemonstrationCounts {
-    /// That were to be tried.
+    /// That were tried, frames that are nearly the same counted once.
     pub demonstrated: usize,
     /// For which there is a grip force once the hand has closed, as demonstrated.
     pub as_demonstrated: usize,
@@ -205,14 +205,16 @@ pub fn select_grasps<E: Evaluator>(
     let mut easiest: Vec<(usize, &Grasp)> = least.into_iter().map(place).zip(grasps).collect();
     easiest.sort_by(|(i, a), (j, b)| i.cmp(j).then(force(a).total_cmp(&force(b))));
     let easiest = easiest.into_iter().map(|(_, g)| g);
-    let (shown, found): (Vec<&Grasp>, Vec<&Grasp>) = easiest.partition(|g| g.origin.is_demonstrated());
+    // What is not simulated is not refined either.
+    let apart = |g: &&Grasp| options.simulated > 0 && g.origin.is_demonstrated();
+    let (shown, found): (Vec<&Grasp>, Vec<&Grasp>) = easiest.partition(apart);
     // Both are simulated alike where there are both.
     let tried = match shown.is_empty() || found.is_empty() {
         true => options.simulated,
         false => options.simulated.div_ceil(2),
     };
 
-    let mut counts = DemonstrationCounts { demonstrated: shown.len(), ..DemonstrationCounts::default() };
+    let mut counts = DemonstrationCounts::default();
     let shown = task.refined(&shown, tried, options.seed, &mut counts)?;
     let found = task.closed(found, tried, options.seed)?;
     let commanded = shown.len() + found.len();
@@ -257,16 +259,16 @@ impl<E: Evaluator> Task<'_, E> {
         seed: u64,
         counts: &mut DemonstrationCounts,
     ) -> Result<Vec<ClosedGrasp<E::Closed>>> {
-        let tried = if simulated == 0 { MAX_SELECTED } else { simulated };
         let mut demonstrations: Vec<Arc<Grasp>> = Vec::new();
         for grasp in grasps {
-            if demonstrations.len() == CLOSINGS_PER_SIMULATED * tried {
+            if demonstrations.len() == CLOSINGS_PER_SIMULATED * simulated {
                 break;
             }
             if demonstrations.iter().all(|d| !grasp.change_from(d).is_within(&SAME)) {
                 demonstrations.push(Arc::new((*grasp).clone()));
             }
         }
+        counts.demonstrated = demonstrations.len();
         let closed: Vec<Option<ClosedGrasp<E::Closed>>> =
             demonstrations.par_iter().map(|g| self.close((**g).clone(), Some(g.clone()))).collect::<Result<_>>()?;
         let carries = |g: &ClosedGrasp<E::Closed>| g.place < self.loads.len() * FRICTION_STEPS;
@@ -279,11 +281,8 @@ impl<E: Evaluator> Task<'_, E> {
         // Those that are nearest to carrying everything.
         starts.sort_by_key(|s| s.closed.map_or(usize::MAX, |c| c.place));
         starts.retain(|s| s.closed.is_none_or(|c| c.place > 0));
-        starts.truncate(REFINED_PER_SIMULATED * tried);
-        let better = match simulated {
-            0 => Vec::new(),
-            _ => self.climb(&starts, REFINEMENTS, REFINEMENT_SIZE, seed)?,
-        };
+        starts.truncate(REFINED_PER_SIMULATED * simulated);
+        let better = self.climb(&starts, REFINEMENTS, REFINEMENT_SIZE, seed)?;
         let mut all: Vec<ClosedGrasp<E::Closed>> = Vec::new();
         // Of each demonstration the best that it became.
         for grasp in closed.into_iter().flatten().chain(better).filter(carries) {
