@@ -54,6 +54,8 @@ pub const IDENTIFIED_SD: f64 = 0.03;
 const FIXED_FOR_KG: f64 = 0.2;
 /// A force that knows nothing of the object, N: what the grip-force policy asks two opposed fingers for at 200 g and a friction of 0.5, 2.08 m g / μ.
 const FIXED_N: f64 = 8.2;
+/// Name of the path without an ablation.
+const WHOLE: &str = "whole";
 /// Numbers of demonstrations.
 const CLIPS: [usize; 6] = [1, 2, 5, 10, 20, 40];
 
@@ -166,9 +168,9 @@ impl<E: Evaluator> Bench<'_, E> {
                 Setting { mass_kg: spec.mass_kg, told, path: GraspPath::default(), choice: Choice::AssumedMass };
             self.add(&ready, &actor, labels, setting, least, table)?;
         }
-        let n = table.rows.len().max(1) as f64;
-        let rate = table.rows.iter().map(|r| r.interval.value).sum::<f64>() / n;
-        let bound = table.rows.iter().map(|r| r.bound).sum::<f64>() / n;
+        let n = whole(&table.rows).count().max(1) as f64;
+        let rate = whole(&table.rows).map(|r| r.interval.value).sum::<f64>() / n;
+        let bound = whole(&table.rows).map(|r| r.bound).sum::<f64>() / n;
         table.notes.push(format!("mean over objects: {:.1} % of rollouts, bound {:.1} %", 100.0 * rate, 100.0 * bound));
         table.notes.push(identified_note());
         Ok(())
@@ -194,11 +196,10 @@ impl<E: Evaluator> Bench<'_, E> {
                 let setting = Setting { mass_kg: spec.mass_kg, told, path: GraspPath::default(), choice: Choice::True };
                 self.add(&ready, &actor, labels, setting, least, table)?;
             }
-            let (weighed, identified) = (&table.rows[first].held, &table.rows[first + 1].held);
-            table.comparisons.push(Comparison {
-                what: format!("{}: identified minus true mass", spec.name),
-                difference: paired_difference(identified, weighed),
-            });
+            let held: Vec<&[bool]> = whole(&table.rows[first..]).map(|r| &r.held[..]).collect();
+            let difference = paired_difference(held[1], held[0]);
+            let what = format!("{}: identified minus true mass", spec.name);
+            table.comparisons.push(Comparison { what, difference });
         }
         table.notes.push(identified_note());
         table.notes.push(format!("the fixed force is the one for {}", grams(FIXED_FOR_KG)));
@@ -346,7 +347,7 @@ impl<E: Evaluator> Bench<'_, E> {
             validated = Actor::Always(learned.validated.iter().map(|p| always(p.grasp.clone())).collect());
             easiest = Actor::Always(self.easiest(ready)?);
             steps = vec![
-                (Some("whole"), actor, whole),
+                (Some(WHOLE), actor, whole),
                 (Some("no network"), &validated, whole),
                 (Some("no network, no practice"), &easiest, whole),
                 (Some("no dry run"), actor, GraspPath { dry_run: false, ..whole }),
@@ -429,6 +430,11 @@ impl<E: Evaluator> Bench<'_, E> {
     fn least_friction(&self, ready: &Ready<E>, mass_kg: f64) -> Result<Option<f64>> {
         Ok(least_friction(&ready.thing.object, &self.robot, &ready.grasps, mass_kg, self.shake_m_s2)?)
     }
+}
+
+/// Rows of the whole path.
+fn whole(rows: &[Row]) -> impl Iterator<Item = &Row> {
+    rows.iter().filter(|r| r.labels.get("path").is_none_or(|p| p == WHOLE))
 }
 
 /// The paper's masses for the paper's object; for others their own mass, as much lighter and heavier.
@@ -573,6 +579,14 @@ mod tests {
             table.text()
         );
         assert!(table.rows[4].median_grip_force_n == Some(FIXED_N), "{}", table.text());
+        // The others are in no mean and in no comparison.
+        let mean = format!("mean over objects: {:.1} %", 100.0 * rate(&table, &[("path", "whole")]));
+        assert!(table.notes[0].starts_with(&mean), "{}", table.text());
+        let table = bench.run(Experiment::MassSource, Some(&[objects::named("spam_can").unwrap()])).unwrap();
+        let held = |mass: &str| {
+            &table.rows.iter().find(|r| r.labels["mass"] == mass && r.labels["path"] == WHOLE).unwrap().held
+        };
+        assert_eq!(table.comparisons[0].difference, paired_difference(held("identified"), held("true")));
     }
 
     #[test]
