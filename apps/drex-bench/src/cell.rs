@@ -12,12 +12,17 @@ use nalgebra::{Point3, Vector3};
 use rayon::prelude::*;
 use serde::Serialize;
 
+/// Says which grasps there are for what is assumed.
+pub type Propose<'a> = dyn Fn(&Assumed) -> Result<Vec<Proposal>> + Sync + 'a;
+
 /// Who proposes grasps.
 pub enum Actor<'a> {
     /// The network, for an object with these points and what is up for it.
     Policy(&'a Learned, &'a [Point3<f64>], Vector3<f64>),
     /// Always these, best first.
     Always(Vec<Proposal>),
+    /// Whoever answers what is asked for.
+    Asked(Box<Propose<'a>>),
 }
 
 /// What the hand takes the mass for.
@@ -153,7 +158,11 @@ impl<E: Evaluator> Cell<'_, E> {
             Choice::True if path.force != PathForce::Proposed => condition.assumed(*mass_kg),
             Choice::True | Choice::AssumedMass => told,
         };
-        let planned = path.plan(self.evaluator, self.actor.propose(&chosen_for)?, &chosen_for)?;
+        let proposals = self.actor.propose(&chosen_for)?;
+        if proposals.is_empty() {
+            return Ok(Err(NoCommand::NoContact { touching: 0 }));
+        }
+        let planned = path.plan(self.evaluator, proposals, &chosen_for)?;
         if chosen_for == told || planned.command.is_err() {
             return Ok(planned.command);
         }
@@ -167,6 +176,7 @@ impl Actor<'_> {
         match self {
             Self::Policy(policy, points, up) => Ok(policy.propose(points, up, assumed)?),
             Self::Always(proposals) => Ok(proposals.clone()),
+            Self::Asked(propose) => propose(assumed),
         }
     }
 }

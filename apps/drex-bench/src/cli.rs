@@ -58,6 +58,12 @@ pub enum Command {
     Objects(ObjectsArgs),
     /// Make many small twin folders: tins of random sizes and masses, each with a simulated push and grasps of its own.
     Twins(TwinsArgs),
+    /// Make verified grasps of random objects for a network that is trained on many: a file for each object, those that are there are kept.
+    GraspData(GraspDataArgs),
+    /// Train a network that proposes grasps on the files that `grasp-data` made.
+    GraspTrain(GraspTrainArgs),
+    /// How the grasps of a network hold on objects of categories that it has not seen, beside those of a search.
+    Unseen(UnseenArgs),
 }
 
 /// What the benches have in common.
@@ -169,6 +175,87 @@ pub struct TwinsArgs {
     /// Folder for the twins twin-000, twin-001, ... and broken-0, broken-1, ...
     #[arg(long, value_name = "DIR")]
     pub out: PathBuf,
+}
+
+/// `drex-bench grasp-data`.
+#[derive(Debug, Args)]
+pub struct GraspDataArgs {
+    /// Objects of categories that no network is trained on.
+    #[arg(long)]
+    pub held_out: bool,
+    /// Robot hand: leap, allegro, or a file as `drex retarget` takes it.
+    #[arg(long, value_name = "NAME|FILE", default_value = "leap")]
+    pub hand: String,
+    /// Number of the first object.
+    #[arg(long, value_name = "N", default_value_t = 0)]
+    pub first: u64,
+    /// Number of objects; the first ones are the same whatever the number.
+    #[arg(long, value_name = "K", value_parser = clap::value_parser!(u64).range(1..=100_000))]
+    pub count: u64,
+    /// Pinches that the search looks at for each object.
+    #[arg(long, value_name = "N", default_value_t = 8_000)]
+    pub pinches: usize,
+    /// Power grasps that it tries.
+    #[arg(long, value_name = "N", default_value_t = 150)]
+    pub powers: usize,
+    /// Grasps that are closed and labelled at most, for each object.
+    #[arg(long, value_name = "N", default_value_t = 150)]
+    pub closed: usize,
+    /// Of these, how many are climbed from, to neighbours that carry more.
+    #[arg(long, value_name = "N", default_value_t = 10)]
+    pub climbed: usize,
+    /// How many of all are simulated.
+    #[arg(long, value_name = "N", default_value_t = 4)]
+    pub simulated: usize,
+    /// Folder for NAME.json.
+    #[arg(long, value_name = "DIR")]
+    pub out: PathBuf,
+}
+
+/// `drex-bench grasp-train`.
+#[derive(Debug, Args)]
+pub struct GraspTrainArgs {
+    /// Folder of `grasp-data`.
+    #[arg(long, value_name = "DIR")]
+    pub data: PathBuf,
+    /// Robot hand: leap, allegro, or a file as `drex retarget` takes it.
+    #[arg(long, value_name = "NAME|FILE", default_value = "leap")]
+    pub hand: String,
+    /// Steps of the optimiser.
+    #[arg(long, value_name = "N", default_value_t = 6000)]
+    pub steps: usize,
+    /// Prototypes of grasps.
+    #[arg(long, value_name = "N", default_value_t = 256)]
+    pub prototypes: usize,
+    /// The network, a safetensors file.
+    #[arg(long, value_name = "FILE")]
+    pub out: PathBuf,
+}
+
+/// `drex-bench unseen`.
+#[derive(Debug, Args)]
+pub struct UnseenArgs {
+    /// A network of `grasp-train`.
+    #[arg(long, value_name = "FILE")]
+    pub network: PathBuf,
+    /// Robot hand: leap, allegro, or a file as `drex retarget` takes it.
+    #[arg(long, value_name = "NAME|FILE", default_value = "leap")]
+    pub hand: String,
+    /// Number of the first object.
+    #[arg(long, value_name = "N", default_value_t = 0)]
+    pub first: u64,
+    /// Number of objects.
+    #[arg(long, value_name = "K", default_value_t = 60)]
+    pub count: u64,
+    /// Rollouts of each object and way.
+    #[arg(long, value_name = "N", default_value_t = 10)]
+    pub rollouts: usize,
+    /// Pinches that the exhaustive search looks at; a fiftieth as many power grasps are tried.
+    #[arg(long, value_name = "N", default_value_t = 20_000)]
+    pub search: usize,
+    /// Engine of the evaluated trials.
+    #[arg(long = "judge", value_enum, default_value_t = EngineArg::Diffsim)]
+    pub engine: EngineArg,
 }
 
 fn margin(text: &str) -> Result<f64, String> {

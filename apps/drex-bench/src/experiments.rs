@@ -608,7 +608,7 @@ mod tests {
             Actor::Policy(policy, points, up) => {
                 policy.propose(points, &up, &Assumed { mass_kg: can.mass_kg, friction: 0.5 }).unwrap()
             }
-            Actor::Always(_) => panic!("a network was asked for"),
+            Actor::Always(_) | Actor::Asked(_) => panic!("a network was asked for"),
         };
         let thing = BenchObject::new(&turned).unwrap();
         let points = ready.points.iter().map(|p| turn * p).collect();

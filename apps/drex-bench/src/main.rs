@@ -10,6 +10,7 @@ mod experiments;
 #[path = "../../../crates/drex-trial/tests/doubles/formula.rs"]
 mod formula;
 mod library;
+mod many;
 mod object;
 mod objects;
 mod run;

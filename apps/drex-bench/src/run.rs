@@ -1,5 +1,6 @@
 //! The commands: synthetic demonstrations, and rollouts of the policy.
 
+use std::ops::ControlFlow;
 use std::path::Path;
 use std::sync::Arc;
 use std::time::Instant;
@@ -11,6 +12,7 @@ use drex_bench::twins::{Fault, SyntheticTwin};
 use drex_core::fsutil;
 use drex_grasp::GraspOrigin;
 use drex_policy::TrainOptions;
+use drex_policy::proposal::{GraspedObject, HandCard, ProposalNetwork, ProposalOptions, train};
 use drex_report::picture::clip::{self, Posed};
 use drex_retarget::TargetHand;
 use drex_trial::{Engine, TrialEvaluator, TrialOptions};
@@ -20,9 +22,12 @@ use drex_twin::with_torque_cap;
 use rayon::prelude::*;
 use serde::Serialize;
 
-use crate::cli::{Command, Common, DemosArgs, GraspArgs, ObjectsArgs, Output, TwinsArgs};
+use crate::cli::{
+    Command, Common, DemosArgs, GraspArgs, GraspDataArgs, GraspTrainArgs, ObjectsArgs, Output, TwinsArgs, UnseenArgs,
+};
 use crate::experiments::Bench;
 use crate::library::{self, Library, LibraryOptions};
+use crate::many::{self, Category, DataOptions, UnseenOptions, UnseenRow, at_rest, graspable, grasped_object, kept};
 use crate::object::BenchObject;
 use crate::objects::{self, ObjectSpec};
 use crate::table::Table;
@@ -37,6 +42,9 @@ pub fn run(command: &Command, seed: u64, output: Output) -> Result<()> {
         Command::Grasp(args) => grasp(args, seed, output),
         Command::Objects(args) => random_objects(args, seed, output),
         Command::Twins(args) => twins(args, seed, output),
+        Command::GraspData(args) => grasp_data(args, seed, output),
+        Command::GraspTrain(args) => grasp_train(args, seed, output),
+        Command::Unseen(args) => unseen(args, seed, output),
     }
 }
 
@@ -114,6 +122,127 @@ fn twins(args: &TwinsArgs, seed: u64, output: Output) -> Result<()> {
         .to_owned()
     };
     output.answer(&rows, rows.iter().map(line).collect::<Vec<_>>().join("\n"))
+}
+
+/// One line of `bench grasp-data`.
+#[derive(Serialize)]
+struct GraspDataRow {
+    object: String,
+    mass_kg: f64,
+    grasps: usize,
+    simulated: usize,
+    held: usize,
+    seconds: f64,
+}
+
+fn grasp_data(args: &GraspDataArgs, seed: u64, output: Output) -> Result<()> {
+    let hand = Arc::new(TargetHand::resolve(&args.hand)?.robot);
+    let categories: &[Category] = if args.held_out { &Category::HELD_OUT } else { &Category::TRAINED };
+    let options = DataOptions {
+        pinches: args.pinches,
+        powers: args.powers,
+        closed: args.closed,
+        climbed: args.climbed,
+        simulated: args.simulated,
+    };
+    let mut rows = Vec::new();
+    for number in args.first..args.first + args.count {
+        let spec = graspable(categories, seed, number)?;
+        let start = Instant::now();
+        let file = fsutil::output_path(&args.out, &format!("{}.json", spec.name))?;
+        let seed = seed.wrapping_add(number);
+        let object = kept(&file, || grasped_object(&at_rest(&spec, seed)?, &hand, &options, seed))?;
+        let row = GraspDataRow {
+            mass_kg: spec.mass_kg,
+            grasps: object.grasps.len(),
+            simulated: object.grasps.iter().filter(|g| g.held.is_some()).count(),
+            held: object.grasps.iter().filter(|g| g.held == Some(true)).count(),
+            object: object.name,
+            seconds: start.elapsed().as_secs_f64(),
+        };
+        eprintln!("{}", row.text());
+        rows.push(row);
+    }
+    output.answer(&rows, rows.iter().map(GraspDataRow::text).collect::<Vec<_>>().join("\n"))
+}
+
+impl GraspDataRow {
+    fn text(&self) -> String {
+        let Self { object, mass_kg, grasps, simulated, held, seconds } = self;
+        format!(
+            "{object:14} {:4.0} g  {grasps:4} grasps, {held:2} of {simulated:2} held  {seconds:5.1} s",
+            1e3 * mass_kg
+        )
+    }
+}
+
+/// The answer of `bench grasp-train`.
+#[derive(Serialize)]
+struct GraspTrainAnswer {
+    objects: usize,
+    grasps: usize,
+    steps: usize,
+    rates: f64,
+    changes: f64,
+    seconds: f64,
+}
+
+fn grasp_train(args: &GraspTrainArgs, seed: u64, output: Output) -> Result<()> {
+    let robot = TargetHand::resolve(&args.hand)?.robot;
+    let hand = HandCard {
+        name: robot.name.clone(),
+        joint_names: robot.joint_names().into_iter().map(str::to_owned).collect(),
+        joint_limits_rad: robot
+            .joints
+            .iter()
+            .map(|j| j.limits.unwrap_or((-std::f64::consts::PI, std::f64::consts::PI)))
+            .collect(),
+    };
+    let objects = grasped_objects(&args.data)?;
+    let options =
+        ProposalOptions { prototypes: args.prototypes, steps: args.steps, seed, ..ProposalOptions::default() };
+    let start = Instant::now();
+    let mut last = None;
+    let network = train(&objects, hand, &options, &mut |progress| {
+        eprintln!("step {:6}: rates {:8.4}, changes {:.4}", progress.step, progress.rates, progress.changes);
+        last = Some(progress);
+        ControlFlow::Continue(())
+    })?;
+    network.save(&args.out)?;
+    let answer = GraspTrainAnswer {
+        objects: objects.len(),
+        grasps: objects.iter().map(|o| o.grasps.len()).sum(),
+        steps: args.steps,
+        rates: last.map_or(f64::NAN, |p| p.rates),
+        changes: last.map_or(f64::NAN, |p| p.changes),
+        seconds: start.elapsed().as_secs_f64(),
+    };
+    let text = format!(
+        "{} grasps of {} objects, {} steps in {:.0} s",
+        answer.grasps, answer.objects, answer.steps, answer.seconds
+    );
+    output.answer(&answer, text)
+}
+
+/// The files of a folder of `grasp-data`, by name.
+fn grasped_objects(folder: &Path) -> Result<Vec<GraspedObject>> {
+    let entries = std::fs::read_dir(folder).with_context(|| format!("{}", folder.display()))?;
+    let mut files: Vec<_> = entries.map(|e| Ok(e?.path())).collect::<Result<_>>()?;
+    files.retain(|f| f.extension().is_some_and(|e| e == "json"));
+    files.sort();
+    let read = |file: &std::path::PathBuf| -> Result<GraspedObject> {
+        serde_json::from_str(&fsutil::read_text(file)?).with_context(|| format!("{}", file.display()))
+    };
+    files.iter().map(read).collect()
+}
+
+fn unseen(args: &UnseenArgs, seed: u64, output: Output) -> Result<()> {
+    let hand = Arc::new(TargetHand::resolve(&args.hand)?.robot);
+    let network = ProposalNetwork::load(&args.network)?;
+    let &UnseenArgs { first, count, rollouts, search, engine, .. } = args;
+    let options = UnseenOptions { first, count, rollouts, search, engine: engine.into(), seed };
+    let rows = many::unseen(&network, &hand, &options, &|line| eprintln!("{line}"))?;
+    output.answer(&rows, rows.iter().map(UnseenRow::text).collect::<Vec<_>>().join("\n"))
 }
 
 /// One line of `bench demos`.

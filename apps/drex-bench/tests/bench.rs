@@ -148,3 +148,45 @@ fn shared_data(test: &str) -> Option<PathBuf> {
     };
     Some(PathBuf::from(root).join("data"))
 }
+
+#[test]
+fn a_network_is_trained_on_some_objects_and_tried_on_others() {
+    let out = tempfile::tempdir().unwrap();
+    let folder = out.path().to_str().unwrap();
+    let data = |threads: &str, to: &str| {
+        let effort = ["--pinches", "1500", "--powers", "4", "--closed", "12", "--climbed", "1", "--simulated", "1"];
+        let which = ["--seed", "1", "--first", "15", "--count", "2", "--threads", threads, "--json"];
+        let to = format!("{folder}/{to}");
+        let run = bench(["grasp-data", "--out", &to].into_iter().chain(effort).chain(which));
+        assert_eq!(run.code, 0, "{}", run.stderr);
+        run.json()
+    };
+    let rows = data("1", "one");
+    assert!(rows[0]["grasps"].as_u64().is_some_and(|n| n > 0), "{rows}");
+    data("2", "two");
+    for row in rows.as_array().unwrap() {
+        let file = format!("{}.json", row["object"].as_str().unwrap());
+        let [one, two] = ["one", "two"].map(|f| fs::read(out.path().join(f).join(&file)).unwrap());
+        assert!(one == two, "{file} depends on the number of threads");
+    }
+    let network = format!("{folder}/network.safetensors");
+    let run = bench([
+        "grasp-train",
+        "--data",
+        &format!("{folder}/one"),
+        "--steps",
+        "2",
+        "--prototypes",
+        "8",
+        "--out",
+        &network,
+    ]);
+    assert_eq!(run.code, 0, "{}", run.stderr);
+    let run = bench(["unseen", "--network", &network, "--count", "1", "--rollouts", "1", "--search", "400", "--json"]);
+    assert_eq!(run.code, 0, "{}", run.stderr);
+    let rows = run.json();
+    assert_eq!(rows.as_array().map(Vec::len), Some(7), "{rows}");
+    assert!(rows.as_array().unwrap().iter().all(|r| r["n"] == 1), "{rows}");
+    bench(["unseen", "--network", &format!("{folder}/none.safetensors")]).fails_with(&["none.safetensors"]);
+    bench(["unseen", "--network", &network, "--hand", "allegro", "--count", "1"]).fails_with(&["leap"]);
+}

@@ -185,11 +185,12 @@ fn configurations(robot: &Robot, hand: &HandSurface, seed: u64) -> Result<Vec<Co
     Ok(out)
 }
 
-struct Search<'a> {
-    robot: &'a Robot,
-    hand: &'a HandSurface,
-    object: &'a Object,
-    limits: &'a EvaluationOptions,
+/// A hand whose fingers are moved onto an object.
+pub(crate) struct Search<'a> {
+    pub robot: &'a Robot,
+    pub hand: &'a HandSurface,
+    pub object: &'a Object,
+    pub limits: &'a EvaluationOptions,
 }
 
 impl Search<'_> {
@@ -218,25 +219,31 @@ impl Search<'_> {
         let middle = nalgebra::center(&pair.first, &pair.second);
         let object_from_base = Pose::from_parts(Translation3::from(middle - rotation * configuration.middle), rotation);
         // Nearly all of the hand over the table, before anything is solved.
-        let table = self.object.table();
-        let mut q = configuration.joints.clone();
-        let clear = |q: &[f64]| {
-            let poses = self.robot.forward_kinematics(q, &object_from_base);
-            let lowest = self.hand.lowest(&poses, &table.up).into_iter().fold(f64::INFINITY, f64::min);
-            (lowest - table.height_m, poses)
-        };
-        let (height, poses) = clear(&q);
-        if height < -0.01 || self.depth(&poses) > 0.01 {
+        let q = configuration.joints.clone();
+        let poses = self.robot.forward_kinematics(&q, &object_from_base);
+        if self.height_m(&poses) < -0.01 || self.depth(&poses) > 0.01 {
             return Ok(None);
         }
+        self.touching(q, object_from_base)
+    }
+
+    /// The grasp with every finger that is near the surface moved onto it; `None` if that holds nothing.
+    pub(crate) fn touching(&self, mut q: Vec<f64>, object_from_base: Pose) -> Result<Option<Grasp>> {
         for finger in &self.hand.fingers {
             self.close(finger, &mut q, &object_from_base);
         }
-        let (height, poses) = clear(&q);
-        if height < self.limits.min_table_clearance_m || self.depth(&poses) > self.limits.max_penetration_m {
+        let poses = self.robot.forward_kinematics(&q, &object_from_base);
+        let height_m = self.height_m(&poses);
+        if height_m < self.limits.min_table_clearance_m || self.depth(&poses) > self.limits.max_penetration_m {
             return Ok(None);
         }
         Grasp::new(self.robot, q, object_from_base).screened(self.hand, self.object, self.robot, self.limits)
+    }
+
+    /// Height of the lowest point of the hand over the table, metres.
+    fn height_m(&self, poses: &[Pose]) -> f64 {
+        let table = self.object.table();
+        self.hand.lowest(poses, &table.up).into_iter().fold(f64::INFINITY, f64::min) - table.height_m
     }
 
     /// Deepest point of the hand in the object, m; zero or less if there is none.

@@ -12,6 +12,7 @@ use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rayon::prelude::*;
 
+use crate::pinch::Search;
 use crate::{ContactOptions, EvaluationOptions, Grasp, GraspOrigin, HandSurface, LinkSurface, Result};
 
 /// Turns of a joint at first and at last, rad.
@@ -38,6 +39,8 @@ const SPREAD_RAD: f64 = 0.15;
 /// By how much a variation of a grasp differs from it at most: each joint and the turn of the palm, rad, and its shift, metres.
 const PERTURBATION_RAD: f64 = 0.05;
 const PERTURBATION_M: f64 = 0.0025;
+/// Relative size of the largest perturbation of a grasp that is to be placed.
+const MOST_NEAR: f64 = 2.0;
 /// A finger that would turn by more to touch has no part in a demonstrated grasp, rad.
 const MOST_CLOSED_RAD: f64 = 0.3;
 /// Set apart from each other and from the seeds of other draws.
@@ -134,6 +137,11 @@ impl<'a> FingerClosing<'a> {
         Ok(Self { robot, coarse, fine, bends, fixed, palm })
     }
 
+    /// The hand.
+    pub fn robot(&self) -> &'a Robot {
+        self.robot
+    }
+
     /// The hand with its palm on the object near `site` and its fingers open, turned and shifted at random; `None` if it has no palm, or there is no
     /// room for it there.
     fn place_palm(
@@ -203,13 +211,57 @@ impl<'a> FingerClosing<'a> {
         seed: u64,
         stream: u64,
     ) -> Result<Option<Grasp>> {
-        let Grasp { joints_rad: mut q, object_from_base: pose, .. } = grasp.moved(self.robot, size, seed, stream);
+        self.enclosing(object, &grasp.moved(self.robot, size, seed, stream))
+    }
+
+    /// The grasp with fingers that are in the object opened, then all closed until they touch; `None` if that holds nothing.
+    fn enclosing(&self, object: &Object, grasp: &Grasp) -> Result<Option<Grasp>> {
+        let (mut q, pose) = (grasp.joints_of(self.robot)?, grasp.object_from_base);
         let limits = EvaluationOptions::synthesised();
         if !self.open_fingers(object, &mut q, &pose) || self.lowest(object, &q, &pose) < limits.min_table_clearance_m {
             return Ok(None);
         }
         let closed = self.closed(object, q, &pose, &limits)?;
-        Ok(closed.map(|g| Grasp { origin: grasp.origin.perturbed(), source: grasp.source, ..g }))
+        Ok(closed.map(|g| Grasp { origin: grasp.origin, source: grasp.source, ..g }))
+    }
+
+    /// The grasp with the fingers that are near the surface moved onto it, else with all of them closed around the object; `None` if neither holds
+    /// anything.
+    ///
+    /// # Errors
+    /// If the grasp is none of this hand.
+    pub fn placed(&self, object: &Object, grasp: &Grasp) -> Result<Option<Grasp>> {
+        let limits = EvaluationOptions::synthesised();
+        let search = Search { robot: self.robot, hand: &self.fine, object, limits: &limits };
+        match search.touching(grasp.joints_of(self.robot)?, grasp.object_from_base)? {
+            Some(g) => Ok(Some(Grasp { origin: grasp.origin, source: grasp.source, ..g })),
+            None => self.enclosing(object, grasp),
+        }
+    }
+
+    /// The grasp placed, else the first of `tries` neighbours of it that can be, the nearest ones first: up to twice as far as those of
+    /// [`FingerClosing::perturbed`]. `None` if none holds anything.
+    ///
+    /// # Errors
+    /// If the grasp is none of this hand.
+    pub fn placed_near(
+        &self,
+        object: &Object,
+        grasp: &Grasp,
+        tries: usize,
+        seed: u64,
+        stream: u64,
+    ) -> Result<Option<Grasp>> {
+        let mut placed = self.placed(object, grasp)?;
+        for i in 0..tries {
+            if placed.is_some() {
+                break;
+            }
+            let size = MOST_NEAR * (i + 1) as f64 / tries as f64;
+            let moved = grasp.moved(self.robot, size, seed, stream.wrapping_mul(tries as u64).wrapping_add(i as u64));
+            placed = self.placed(object, &Grasp { origin: grasp.origin, ..moved })?;
+        }
+        Ok(placed)
     }
 
     /// A demonstrated grasp that is [moved](Grasp::moved), with the fingers at the object that were near it; what it holds nobody has looked at. `None` if

@@ -63,6 +63,7 @@ mod norm;
 mod options;
 pub mod paper;
 mod policy;
+pub mod proposal;
 mod report;
 mod sample;
 mod split;

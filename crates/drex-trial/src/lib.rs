@@ -40,7 +40,7 @@ pub use outcome::{Outcome, Verdict};
 pub use path::{GraspPath, PathForce, PlannedGrasp, Proposal, sort_proposals};
 pub use reach::Reach;
 pub use selection::{DemonstrationCounts, Selection, SelectionOptions, VALIDATION_SEED, ValidatedGrasp, select_grasps};
-pub use stats::{Interval, paired_difference, wilson};
+pub use stats::{Interval, clustered, paired_difference, wilson};
 pub use stoppable::Stoppable;
 pub use timeline::phases;
 pub use trial::{Frame, Trial};

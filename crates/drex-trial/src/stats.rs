@@ -28,6 +28,25 @@ pub fn wilson(successes: usize, n: usize) -> Interval {
     Interval { value: p, low: (centre - half).max(0.0), high: (centre + half).min(1.0) }
 }
 
+/// 95 % interval of the success rate of clusters, (successes, trials) of each: trials of one object are more alike than those of several. From the spread of
+/// the clusters about the common rate (Cochran 1977, equation 2.39, of a ratio), at least as wide as [`wilson`]'s.
+pub fn clustered(groups: &[(usize, usize)]) -> Interval {
+    let sum = |of: fn(&(usize, usize)) -> usize| groups.iter().map(of).sum::<usize>();
+    let (successes, n) = (sum(|g| g.0), sum(|g| g.1));
+    let alone = wilson(successes, n);
+    if groups.len() < 2 || n == 0 {
+        return alone;
+    }
+    let count = groups.len() as f64;
+    let squares: f64 = groups.iter().map(|g| (g.0 as f64 - alone.value * g.1 as f64).powi(2)).sum();
+    let half = Z * (count / (count - 1.0) * squares).sqrt() / n as f64;
+    Interval {
+        value: alone.value,
+        low: (alone.value - half).min(alone.low).max(0.0),
+        high: (alone.value + half).max(alone.high).min(1.0),
+    }
+}
+
 /// Difference of two success rates on the same trials, `a` minus `b`, with its 95 % interval from the trials that differ.
 ///
 /// The interval is that of Agresti and Min (2005): Wald's with half a trial added to each cell of the table.
@@ -62,6 +81,17 @@ mod tests {
         assert_eq!(wilson(0, 10).low, 0.0);
         assert!(wilson(10, 10).high <= 1.0 && wilson(10, 10).low > 0.69);
         assert_eq!((wilson(0, 0).low, wilson(0, 0).high), (0.0, 1.0));
+    }
+
+    #[test]
+    fn clusters_that_agree_say_no_more_than_their_number() {
+        // Ten objects, five of which always hold: the rate of ten tosses of a coin, not of a thousand.
+        let groups: Vec<(usize, usize)> = (0..10).map(|i| if i % 2 == 0 { (100, 100) } else { (0, 100) }).collect();
+        let i = clustered(&groups);
+        assert!((i.value - 0.5).abs() < 1e-12 && (i.low - 0.5 + 1.96 * 0.5 / 9.0_f64.sqrt()).abs() < 1e-3, "{i:?}");
+        let even = clustered(&[(50, 100); 10]);
+        assert_eq!((even.low, even.high), (wilson(500, 1000).low, wilson(500, 1000).high));
+        assert_eq!(clustered(&[(3, 4)]), wilson(3, 4));
     }
 
     #[test]

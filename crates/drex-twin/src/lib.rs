@@ -47,6 +47,8 @@ mod predict;
 #[cfg(feature = "stages")]
 mod progress;
 #[cfg(feature = "stages")]
+pub mod propose;
+#[cfg(feature = "stages")]
 pub mod reconstruct;
 pub mod records;
 #[cfg(feature = "stages")]

@@ -6,7 +6,7 @@
 use nalgebra::Vector3;
 
 use super::contact_model::ContactModel;
-use super::lu::Lu;
+use super::lu::{Lu, copy};
 use crate::Scalar;
 use crate::articulation::{Column, JointForce};
 
@@ -399,7 +399,7 @@ impl<T: Scalar> Solver<T> {
     /// Derivative of the residual at `u`.
     fn assemble(&mut self, dt: f64) {
         let (n, island) = (self.values.n, &self.values);
-        self.matrix.clone_from(&island.mass);
+        copy(&island.mass, &mut self.matrix);
         for joint in &island.scalars {
             self.matrix[joint.dof * n + joint.dof] += joint.stiffness(self.u[joint.dof]) * dt;
         }

@@ -1,0 +1,278 @@
+//! How grasps of objects that no network has seen hold: those that a network proposes beside those that a search finds.
+
+use std::sync::Arc;
+use std::sync::Mutex;
+use std::time::Instant;
+
+use anyhow::Result;
+use drex_core::{Object, Pose};
+use drex_grasp::{FingerClosing, Grasp, pinch_grasps, power_grasps};
+use drex_policy::Query;
+use drex_policy::proposal::ProposalNetwork;
+use drex_robot::Robot;
+use drex_trial::{
+    Assumed, Condition, ConditionSpread, Engine, Evaluator as _, GraspPath, GripForce, Interval, Proposal,
+    TrialEvaluator, TrialOptions, clustered,
+};
+use drex_twin::propose::proposals;
+use nalgebra::{Point3, Vector3};
+use rayon::prelude::*;
+use serde::Serialize;
+
+use super::data::cloud;
+use super::{Category, at_rest, graspable};
+use crate::cell::{Actor, AssumedMass, Cell, Choice, Row, Setting};
+
+/// Grasps that go through the path, at most.
+const PLACED: usize = 10;
+/// Pinches that a search looks at for one power grasp that it tries.
+const PINCHES_PER_POWER: usize = 50;
+/// Grasps of a search that are closed at most.
+const CLOSED: usize = 400;
+/// Of those that are closed, how many go through the path of each rollout.
+const KEPT: usize = 10;
+
+/// What is compared.
+#[derive(Debug, Clone)]
+pub struct UnseenOptions {
+    /// Objects, numbered from `first`.
+    pub first: u64,
+    pub count: u64,
+    /// Rollouts of each.
+    pub rollouts: usize,
+    /// Pinches that the exhaustive search looks at.
+    pub search: usize,
+    /// Engine of the evaluated trials.
+    pub engine: Engine,
+    pub seed: u64,
+}
+
+/// Who proposes.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Way {
+    /// The network, which sees the object from all sides; its best proposal alone, or ten.
+    Network(usize),
+    /// The object and the points that are seen of it turned about the vertical.
+    Turned,
+    /// What one camera sees of it.
+    OneView,
+    /// A search with so many hundredths of the effort.
+    Search(usize),
+}
+
+const WAYS: [Way; 7] = [
+    Way::Network(1),
+    Way::Network(PLACED),
+    Way::Turned,
+    Way::OneView,
+    Way::Search(2),
+    Way::Search(10),
+    Way::Search(100),
+];
+
+impl Way {
+    fn name(self) -> String {
+        match self {
+            Self::Network(1) => "network, its first".into(),
+            Self::Network(n) => format!("network, its first {n}"),
+            Self::Turned => "network, object turned".into(),
+            Self::OneView => "network, one view".into(),
+            Self::Search(100) => "search".into(),
+            Self::Search(hundredths) => format!("search, {hundredths} % of it"),
+        }
+    }
+}
+
+/// A line of the table.
+#[derive(Debug, Clone, Serialize)]
+pub struct UnseenRow {
+    /// Who proposes.
+    pub way: String,
+    /// Rollouts that held, and of how many.
+    pub successes: usize,
+    pub n: usize,
+    /// 95 %, clustered by object.
+    pub interval: Interval,
+    /// Rollouts without a command.
+    pub refused: usize,
+    /// Grasps that go through the path per rollout, mean.
+    pub candidates: f64,
+    /// Time of the network, and to place what it proposes, ms per rollout; of a search, which is made once for each object, all of it.
+    pub propose_ms: f64,
+    pub place_ms: f64,
+}
+
+/// What was counted of one way with one object.
+#[derive(Debug, Default, Clone, Copy)]
+struct Tally {
+    asked: usize,
+    placed: usize,
+    propose_s: f64,
+    place_s: f64,
+}
+
+/// Runs the comparison; `say` gets a line for each object.
+///
+/// # Errors
+/// If an object cannot be made or simulated.
+pub fn unseen(
+    network: &ProposalNetwork,
+    hand: &Arc<Robot>,
+    options: &UnseenOptions,
+    say: &dyn Fn(String),
+) -> Result<Vec<UnseenRow>> {
+    let mut all: Vec<Vec<(Row, Tally)>> = WAYS.iter().map(|_| Vec::new()).collect();
+    for number in options.first..options.first + options.count {
+        let spec = graspable(&Category::HELD_OUT, options.seed, number)?;
+        let seed = options.seed.wrapping_add(number);
+        let object = at_rest(&spec, seed)?;
+        let conditions = ConditionSpread::default().conditions(options.rollouts, seed);
+        let mut line = format!("{:14} {:4.0} g", spec.name, 1e3 * spec.mass_kg);
+        for (way, rows) in WAYS.into_iter().zip(&mut all) {
+            let (row, tally) = one(network, hand, &object, way, &conditions, options, seed)?;
+            line += &format!("  {:2}", row.successes);
+            rows.push((row, tally));
+        }
+        say(line);
+    }
+    Ok(WAYS.into_iter().zip(&all).map(|(way, rows)| summary(way, rows)).collect())
+}
+
+fn summary(way: Way, rows: &[(Row, Tally)]) -> UnseenRow {
+    let groups: Vec<(usize, usize)> = rows.iter().map(|(r, _)| (r.successes, r.n)).collect();
+    let refusals = ["cannot_carry", "torque_limit", "crushed"];
+    let refused = |r: &Row| refusals.iter().filter_map(|f| r.failures.get(*f)).sum::<usize>();
+    let mean = |of: &dyn Fn(&Tally) -> f64| {
+        let asked: usize = rows.iter().map(|(_, t)| t.asked).sum();
+        rows.iter().map(|(_, t)| of(t)).sum::<f64>() / asked.max(1) as f64
+    };
+    UnseenRow {
+        way: way.name(),
+        successes: groups.iter().map(|g| g.0).sum(),
+        n: groups.iter().map(|g| g.1).sum(),
+        interval: clustered(&groups),
+        refused: rows.iter().map(|(r, _)| refused(r)).sum(),
+        candidates: mean(&|t| t.placed as f64),
+        propose_ms: 1e3 * mean(&|t| t.propose_s),
+        place_ms: 1e3 * mean(&|t| t.place_s),
+    }
+}
+
+fn one(
+    network: &ProposalNetwork,
+    hand: &Arc<Robot>,
+    object: &Object,
+    way: Way,
+    conditions: &[Condition],
+    options: &UnseenOptions,
+    seed: u64,
+) -> Result<(Row, Tally)> {
+    let turned = object.clone().with_rest_pose(Pose::rotation(Vector3::z() * 2.0) * object.world_from_object);
+    let object = if way == Way::Turned { &turned } else { object };
+    let evaluator = TrialEvaluator::new(object, hand, &TrialOptions::default(), options.engine)?;
+    let closing = FingerClosing::new(hand)?;
+    let tally = Mutex::new(Tally::default());
+    let count = |of: &dyn Fn(&mut Tally)| tally.lock().map(|mut t| of(&mut t)).unwrap_or_default();
+    let (points, views) = cloud(object, seed);
+    let seen: Vec<Point3<f64>> = match views.first() {
+        Some(view) if way == Way::OneView => view.iter().map(|i| points[usize::from(*i)]).collect(),
+        _ => points,
+    };
+    let propose = |assumed: &Assumed, most: usize| -> Result<Vec<Proposal>> {
+        let start = Instant::now();
+        network.propose(&Query::new(&seen, assumed.mass_kg, assumed.friction), most)?;
+        let (propose_s, start) = (start.elapsed().as_secs_f64(), Instant::now());
+        let placed = proposals(network, &closing, object, &seen, assumed, most, seed)?;
+        count(&|t| {
+            t.asked += 1;
+            t.placed += placed.len();
+            t.propose_s += propose_s;
+            t.place_s += start.elapsed().as_secs_f64() - propose_s;
+        });
+        Ok(placed)
+    };
+    let actor = match way {
+        Way::Network(most) => Actor::Asked(Box::new(move |a| propose(a, most))),
+        Way::Turned | Way::OneView => Actor::Asked(Box::new(move |a| propose(a, PLACED))),
+        Way::Search(hundredths) => {
+            let start = Instant::now();
+            let kept = searched(object, hand, &evaluator, options.search, hundredths, seed)?;
+            count(&|t| {
+                t.asked += conditions.len();
+                t.placed += kept.len() * conditions.len();
+                t.propose_s += start.elapsed().as_secs_f64() * conditions.len() as f64;
+            });
+            Actor::Always(kept)
+        }
+    };
+    let setting = Setting {
+        mass_kg: object.mass_kg(),
+        told: AssumedMass::Times(1.0),
+        path: GraspPath::default(),
+        choice: Choice::AssumedMass,
+    };
+    let cell = Cell {
+        labels: Vec::new(),
+        evaluator: &evaluator,
+        actor: &actor,
+        setting,
+        least_friction: None,
+        compare: false,
+    };
+    let row = cell.run(conditions)?;
+    drop(cell);
+    drop(actor);
+    let tally = tally.into_inner().unwrap_or_default();
+    Ok((row, tally))
+}
+
+/// The grasps of a search that need least friction and then least force once the hand has closed, the best first.
+fn searched(
+    object: &Object,
+    hand: &Arc<Robot>,
+    evaluator: &TrialEvaluator,
+    search: usize,
+    hundredths: usize,
+    seed: u64,
+) -> Result<Vec<Proposal>> {
+    let share = |of: usize| (of * hundredths).div_ceil(100);
+    let mut found = power_grasps(object, hand, share(search / PINCHES_PER_POWER), seed)?;
+    found.extend(pinch_grasps(object, hand, share(search), seed)?);
+    let force = |g: &Grasp| g.grip_force_n.unwrap_or(f64::INFINITY);
+    found.sort_by(|a, b| force(a).total_cmp(&force(b)));
+    found.truncate(share(CLOSED));
+    let frictions = [0.27, 0.35, 0.45, 0.55, 0.65, 0.8];
+    let mass_kg = object.mass_kg();
+    let close = |grasp: Grasp| -> Result<Option<(usize, Proposal)>> {
+        let hand = evaluator.close(&grasp, &Assumed { mass_kg, friction: 0.55 })?;
+        for (place, friction) in frictions.into_iter().enumerate() {
+            if let Ok(grip_force_n) =
+                evaluator.grip_force_n(&hand, &Assumed { mass_kg, friction }, GripForce::Required)?
+            {
+                return Ok(Some((place, Proposal { grasp, grip_force_n, weight: 0.0 })));
+            }
+        }
+        Ok(None)
+    };
+    let closed: Vec<Option<(usize, Proposal)>> = found.into_par_iter().map(close).collect::<Result<_>>()?;
+    let mut closed: Vec<(usize, Proposal)> = closed.into_iter().flatten().collect();
+    closed.sort_by(|(i, a), (j, b)| i.cmp(j).then(a.grip_force_n.total_cmp(&b.grip_force_n)));
+    closed.truncate(KEPT);
+    // The order is that of the path: weights fall by more than what is as good as another.
+    let weighed = closed.into_iter().enumerate().map(|(i, (_, p))| Proposal { weight: 0.4_f64.powi(i as i32), ..p });
+    Ok(weighed.collect())
+}
+
+impl UnseenRow {
+    /// A line for people.
+    pub fn text(&self) -> String {
+        let Self { way, successes, n, interval, refused, candidates, propose_ms, place_ms } = self;
+        format!(
+            "{way:24} {successes:4} of {n:4}  {:5.1} % ({:.1} to {:.1})  refused {refused:4}  {candidates:4.1} candidates  \
+             {propose_ms:8.1} ms + {place_ms:6.1} ms",
+            100.0 * interval.value,
+            100.0 * interval.low,
+            100.0 * interval.high,
+        )
+    }
+}
