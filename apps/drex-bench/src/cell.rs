@@ -4,8 +4,10 @@ use drex_core::stats::upper_median;
 use std::collections::BTreeMap;
 
 use anyhow::Result;
+use drex_grasp::GripForcePolicy;
 use drex_trial::{
-    Assumed, Condition, Evaluation, Evaluator, GraspPath, Interval, NoCommand, PathForce, Proposal, Verdict, wilson,
+    Assumed, Condition, Evaluation, Evaluator, GraspPath, Interval, NoCommand, PathForce, Proposal, Uncertainty,
+    Verdict, wilson,
 };
 use drex_twin::learn::Learned;
 use nalgebra::{Point3, Vector3};
@@ -36,6 +38,15 @@ pub enum AssumedMass {
     Always(f64),
 }
 
+/// What the hand takes the friction for.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum AssumedFriction {
+    /// What it is, to within the error of the condition.
+    Told,
+    /// Anywhere in the range of the protocol.
+    Unknown,
+}
+
 /// By which mass a grip is chosen.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Choice {
@@ -51,10 +62,24 @@ pub struct Setting {
     /// True mass, kg.
     pub mass_kg: f64,
     pub told: AssumedMass,
+    pub friction: AssumedFriction,
     /// From proposals to a command.
     pub path: GraspPath,
     /// By which mass a grip is chosen among those proposed.
     pub choice: Choice,
+}
+
+impl Setting {
+    /// The whole path for an object of this mass, chosen by what the hand takes it for, with the friction told.
+    pub fn told(mass_kg: f64, told: AssumedMass) -> Self {
+        let (friction, path) = (AssumedFriction::Told, GraspPath::default());
+        Self { mass_kg, told, friction, path, choice: Choice::AssumedMass }
+    }
+
+    /// The same, chosen by what it is.
+    pub fn chosen_by_truth(mass_kg: f64, told: AssumedMass) -> Self {
+        Self { choice: Choice::True, ..Self::told(mass_kg, told) }
+    }
 }
 
 /// One cell.
@@ -151,23 +176,38 @@ impl<E: Evaluator> Cell<'_, E> {
 
     /// What the hand is commanded.
     pub fn plan(&self, condition: &Condition) -> Result<Result<E::Command, NoCommand>> {
-        let Setting { mass_kg, told, path, choice } = &self.setting;
-        let told = condition.assumed(told.mass_kg(*mass_kg, condition.mass_error));
-        let chosen_for = match choice {
+        let Setting { mass_kg, told, friction, path, choice } = &self.setting;
+        let told_kg = told.mass_kg(*mass_kg, condition.mass_error);
+        let chosen_for_kg = match choice {
             // The force of a proposal is for what was asked, which must not be the truth.
-            Choice::True if path.force != PathForce::Proposed => condition.assumed(*mass_kg),
-            Choice::True | Choice::AssumedMass => told,
+            Choice::True if path.force != PathForce::Proposed => *mass_kg,
+            Choice::True | Choice::AssumedMass => told_kg,
         };
-        let proposals = self.actor.propose(&chosen_for)?;
+        let chosen_for = friction.assumptions(condition, chosen_for_kg)?;
+        let proposals = self.actor.propose(&chosen_for[0])?;
         if proposals.is_empty() {
             return Ok(Err(NoCommand::NoContact { touching: 0 }));
         }
-        let planned = path.plan(self.evaluator, proposals, &chosen_for)?;
-        if chosen_for == told || planned.command.is_err() {
+        let planned = path.plan_in_turn(self.evaluator, proposals, &chosen_for)?;
+        if chosen_for_kg == told_kg || planned.command.is_err() {
             return Ok(planned.command);
         }
         // It is this grip, also where there is no force for what is told: cells differ in force alone.
+        let told = Assumed { mass_kg: told_kg, ..chosen_for[planned.turn] };
         Ok(self.evaluator.command(&planned.closed, &told, path.grip_force(&planned.proposal))?)
+    }
+}
+
+impl AssumedFriction {
+    /// What the hand assumes in turn of an object that it takes for `mass_kg`.
+    fn assumptions(self, condition: &Condition, mass_kg: f64) -> Result<Vec<Assumed>> {
+        match self {
+            Self::Told => Ok(vec![condition.assumed(mass_kg)]),
+            Self::Unknown => {
+                let uncertainty = Uncertainty::new(vec![mass_kg], Uncertainty::ANY_FRICTION)?;
+                Ok(uncertainty.in_turn(&GripForcePolicy::default()).map(|(_, assumed)| assumed).to_vec())
+            }
+        }
     }
 }
 
@@ -248,7 +288,7 @@ mod tests {
         let conditions = ConditionSpread::around(Some(0.5)).conditions(30, 4);
         let run = |told, choice| {
             let path = GraspPath::default();
-            let setting = Setting { mass_kg: 0.1, told: AssumedMass::Times(told), path, choice };
+            let setting = Setting { path, choice, ..Setting::told(0.1, AssumedMass::Times(told)) };
             let cell = Cell {
                 labels: vec![],
                 evaluator: &PinchByFirstJoint,
@@ -289,7 +329,7 @@ mod tests {
         let points = object.point_cloud(POINTS, 5);
         let actor = Actor::Policy(&learned, &points, object.table().up.into_inner());
         let (told, path) = (AssumedMass::Times(1.0), GraspPath::default());
-        let setting = Setting { mass_kg: object.mass_kg(), told, path, choice: Choice::AssumedMass };
+        let setting = Setting { path, ..Setting::told(object.mass_kg(), told) };
         let (evaluator, labels) = (&evaluator, vec![]);
         let cell = Cell { labels, evaluator, actor: &actor, setting, least_friction: None, compare: false };
         let (kg, friction) = (object.mass_kg(), object.friction);
@@ -312,7 +352,7 @@ mod tests {
         // A network's force is the one for what the hand is told, whatever is true.
         let by_network = |mass_kg: f64, told: AssumedMass| {
             let path = GraspPath { force: PathForce::Proposed, ..GraspPath::default() };
-            let setting = Setting { mass_kg, told, path, choice: Choice::True };
+            let setting = Setting { path, ..Setting::chosen_by_truth(mass_kg, told) };
             let cell = Cell { labels: vec![], evaluator, actor: &actor, setting, least_friction: None, compare: false };
             bytes(&cell.plan(&condition).unwrap().unwrap())
         };

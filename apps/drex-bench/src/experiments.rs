@@ -16,7 +16,7 @@ use drex_trial::{
 };
 use nalgebra::{Point3, Quaternion, Translation3, UnitQuaternion, Vector3, Vector4};
 
-use super::cell::{Actor, AssumedMass, Cell, Choice, Row, Setting};
+use super::cell::{Actor, AssumedMass, Cell, Row, Setting};
 use super::library::{self, Library, LibraryOptions};
 use super::object::BenchObject;
 use super::objects::{self, ObjectSpec};
@@ -145,7 +145,7 @@ impl<E: Evaluator> Bench<'_, E> {
                 let told = masses.map(|m| (grams(m), AssumedMass::Always(m)));
                 for (name, told) in told.into_iter().chain([("half".to_owned(), AssumedMass::Times(0.5))]) {
                     let labels = vec![("object", spec.name.clone()), ("told", name), ("true", grams(mass_kg))];
-                    let setting = Setting { mass_kg, told, path: GraspPath::default(), choice: Choice::True };
+                    let setting = Setting::chosen_by_truth(mass_kg, told);
                     self.add(&ready, &actor, labels, setting, least, table)?;
                 }
             }
@@ -164,8 +164,7 @@ impl<E: Evaluator> Bench<'_, E> {
             let labels = vec![("object", spec.name.clone()), ("true", grams(spec.mass_kg))];
             let least = self.least_friction(&ready, spec.mass_kg)?;
             let told = AssumedMass::Identified(IDENTIFIED_SD);
-            let setting =
-                Setting { mass_kg: spec.mass_kg, told, path: GraspPath::default(), choice: Choice::AssumedMass };
+            let setting = Setting::told(spec.mass_kg, told);
             self.add(&ready, &actor, labels, setting, least, table)?;
         }
         let n = whole(&table.rows).count().max(1) as f64;
@@ -193,7 +192,7 @@ impl<E: Evaluator> Bench<'_, E> {
             for (name, told) in sources {
                 let labels =
                     vec![("mass", name.to_owned()), ("object", spec.name.clone()), ("true", grams(spec.mass_kg))];
-                let setting = Setting { mass_kg: spec.mass_kg, told, path: GraspPath::default(), choice: Choice::True };
+                let setting = Setting::chosen_by_truth(spec.mass_kg, told);
                 self.add(&ready, &actor, labels, setting, least, table)?;
             }
             let held: Vec<&[bool]> = whole(&table.rows[first..]).map(|r| &r.held[..]).collect();
@@ -245,8 +244,7 @@ impl<E: Evaluator> Bench<'_, E> {
                 };
                 let actor = ready.policy(&policy);
                 let told = AssumedMass::Identified(IDENTIFIED_SD);
-                let setting =
-                    Setting { mass_kg: spec.mass_kg, told, path: GraspPath::default(), choice: Choice::AssumedMass };
+                let setting = Setting::told(spec.mass_kg, told);
                 self.add(&ready, &actor, labels, setting, least, table)?;
             }
             if CLIPS.into_iter().any(|count| count > clips.len()) {
@@ -282,8 +280,7 @@ impl<E: Evaluator> Bench<'_, E> {
                 let labels = vec![("object", spec.name.clone()), ("trained on", from), ("true", grams(spec.mass_kg))];
                 // The force is not what is transferred: the law has the contacts of this object.
                 let told = AssumedMass::Times(1.0);
-                let setting =
-                    Setting { mass_kg: spec.mass_kg, told, path: GraspPath::default(), choice: Choice::AssumedMass };
+                let setting = Setting::told(spec.mass_kg, told);
                 self.add(&ready, &actor, labels, setting, least, table)?;
             }
         }
@@ -317,7 +314,7 @@ impl<E: Evaluator> Bench<'_, E> {
                 for (name, actor, told, path) in methods {
                     let labels =
                         vec![("method", name.to_owned()), ("object", spec.name.clone()), ("true", grams(mass_kg))];
-                    let setting = Setting { mass_kg, told, path, choice: Choice::True };
+                    let setting = Setting { path, ..Setting::chosen_by_truth(mass_kg, told) };
                     self.add(&ready, actor, labels, setting, least, table)?;
                 }
             }

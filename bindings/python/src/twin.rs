@@ -15,6 +15,13 @@ use crate::policy::Policy;
 use crate::sysid::Identification;
 use crate::watch::{Part, watched, watched_with_notes};
 
+/// Friction between hand and object: a number, or the ends of an interval.
+#[derive(FromPyObject)]
+pub(crate) enum FrictionInput {
+    Known(f64),
+    Between(f64, f64),
+}
+
 /// A twin: a folder with a twin.toml, and what the stages of the pipeline have made of it (`Twin.open`).
 ///
 /// Stages are "scan", "identify", "asset", "grasps", "train", "evaluate", "trial", "execute", "appearance" and "report". The manifest and
@@ -100,16 +107,21 @@ impl Twin {
     /// The grasp that `drex grasp` gives for the object, if its mesh frame is at `pose` in the world (a row x, y, z, qw, qx, qy, qz or a 4 x 4
     /// matrix; at rest on the table if left out) and weighs `mass_kg` (what grasps are made for if left out, see `Mass.grip_kg`).
     ///
-    /// `friction` between hand and object is the manifest's if left out. Raises `Error` as long as the stage train has not been done.
+    /// `friction` between hand and object is a number or a pair, the ends of an interval that it is in; if left out the manifest's, or 0.3 to 0.8 if it
+    /// states none. Raises `Error` as long as the stage train has not been done.
     #[pyo3(signature = (pose=None, mass_kg=None, *, friction=None))]
     fn predict(
         &self,
         py: Python<'_>,
         pose: Option<&Bound<'_, PyAny>>,
         mass_kg: Option<f64>,
-        friction: Option<f64>,
+        friction: Option<FrictionInput>,
     ) -> Result<Prediction> {
         let world_from_object = pose.map(|p| self::pose("pose", p)).transpose()?;
+        let friction = friction.map(|f| match f {
+            FrictionInput::Known(mu) => (mu, mu),
+            FrictionInput::Between(low, high) => (low, high),
+        });
         let options = PredictOptions { world_from_object, mass_kg, friction, ..PredictOptions::default() };
         let open = self.opener();
         let inner = watched(py, None, move |_| Ok(Predictor::of_twin(&open()?, &options)?.predict()?))?;
@@ -263,10 +275,16 @@ impl Prediction {
         self.inner.mass_kg
     }
 
-    /// Coefficient of friction that was assumed.
+    /// Coefficient of friction that was assumed; of an interval the one that the grip force is for.
     #[getter]
     fn friction(&self) -> f64 {
         self.inner.friction
+    }
+
+    /// Probability that the object asks for more than it is gripped for, where friction is an interval; else None.
+    #[getter]
+    fn risk(&self) -> Option<f64> {
+        self.inner.risk
     }
 
     /// Probability of the grasp by the network.

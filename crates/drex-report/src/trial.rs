@@ -57,9 +57,13 @@ pub fn section(page: &mut Page, twin: &Twin, asset: &Asset, trial: &TrialFile) -
         100.0 * low,
         100.0 * high
     ));
+    let told = match twin.manifest.object.friction {
+        Some(_) => "told to within a tenth",
+        None => "not known to the hand",
+    };
     page.paragraph(&format!(
         "The hand takes the object for {:.1} g. In each rollout the true mass is drawn from the posterior of the mass: median {:.1} g, 95 % \
-         interval {:.1} to {:.1} g, standard deviation {}. The friction is between {:.2} and {:.2} and told to within a tenth, and the \
+         interval {:.1} to {:.1} g, standard deviation {}. The friction is between {:.2} and {:.2} and {told}, and the \
          object stands a little aside of where the hand believes it.",
         1e3 * trial.mass_kg,
         1e3 * trial.mass_median_kg,

@@ -78,6 +78,31 @@ pub fn find_grasp_watched(
     options: &FindOptions,
     watch: &(dyn Fn(f64) -> ControlFlow<()> + Sync),
 ) -> Result<Option<TriedGrasp>> {
+    let grasps = |hand: &Robot| Ok(synthesize_grasps(object, hand, options.candidates, options.seed)?);
+    find(object, hand, &grasps, options, watch)
+}
+
+/// [`find_grasp_watched`] among these grasps of the hand instead of those of a search.
+///
+/// # Errors
+/// As [`find_grasp_watched`]; if one is no grasp of the hand.
+pub fn find_grasp_among(
+    object: &Object,
+    hand: &Robot,
+    grasps: &[Grasp],
+    options: &FindOptions,
+    watch: &(dyn Fn(f64) -> ControlFlow<()> + Sync),
+) -> Result<Option<TriedGrasp>> {
+    find(object, hand, &|_| Ok(grasps.to_vec()), options, watch)
+}
+
+fn find(
+    object: &Object,
+    hand: &Robot,
+    grasps: &dyn Fn(&Robot) -> Result<Vec<Grasp>>,
+    options: &FindOptions,
+    watch: &(dyn Fn(f64) -> ControlFlow<()> + Sync),
+) -> Result<Option<TriedGrasp>> {
     check_mass_and_friction(object.mass_kg(), object.friction)?;
     let hand = Arc::new(hand.clone());
     let evaluator = TrialEvaluator::new(object, &hand, &options.trial, Engine::Diffsim)?;
@@ -85,7 +110,7 @@ pub fn find_grasp_watched(
     let all = (STEPS_PER_SIMULATED * options.simulated + 2 * options.trials) as f64;
     let go_on = || watch((done.fetch_add(1, Ordering::Relaxed) as f64 / all).min(1.0));
     let evaluator = Stoppable::new(&evaluator, &go_on);
-    let grasps = synthesize_grasps(object, &hand, options.candidates, options.seed)?;
+    let grasps = grasps(&hand)?;
     let spread = ConditionSpread::around(Some(object.friction));
     let selection = SelectionOptions {
         spread,

@@ -25,6 +25,7 @@ mod stats;
 mod stoppable;
 mod timeline;
 mod trial;
+mod uncertainty;
 mod watch;
 
 pub use assumed::{Assumed, Truth};
@@ -34,16 +35,17 @@ pub use control::ContactForce;
 pub use engine::Engine;
 pub use error::{Error, Result};
 pub use evaluator::{Condition, ConditionSpread, Evaluation, Evaluator, TrialEvaluator, rollouts};
-pub use find::{FindOptions, TriedGrasp, find_grasp, find_grasp_watched};
+pub use find::{FindOptions, TriedGrasp, find_grasp, find_grasp_among, find_grasp_watched};
 pub use options::TrialOptions;
 pub use outcome::{Outcome, Verdict};
 pub use path::{GraspPath, PathForce, PlannedGrasp, Proposal, sort_proposals};
 pub use reach::Reach;
 pub use selection::{DemonstrationCounts, Selection, SelectionOptions, VALIDATION_SEED, ValidatedGrasp, select_grasps};
-pub use stats::{Interval, clustered, paired_difference, wilson};
+pub use stats::{Interval, clustered, clustered_difference, paired_difference, wilson};
 pub use stoppable::Stoppable;
 pub use timeline::phases;
 pub use trial::{Frame, Trial};
+pub use uncertainty::Uncertainty;
 
 // The test double in tests/doubles is a file of several crates.
 #[cfg(test)]

@@ -49,6 +49,8 @@ pub struct PlannedGrasp<E: Evaluator> {
     pub place: usize,
     /// The hand, closed.
     pub closed: E::Closed,
+    /// Place of what it is commanded for among the assumptions, from 0.
+    pub turn: usize,
     /// Its command; else why none of the proposals has one: the reason of the first.
     pub command: std::result::Result<E::Command, NoCommand>,
 }
@@ -69,27 +71,55 @@ impl GraspPath {
     pub fn plan<E: Evaluator>(
         &self,
         evaluator: &E,
-        mut proposals: Vec<Proposal>,
+        proposals: Vec<Proposal>,
         assumed: &Assumed,
     ) -> Result<PlannedGrasp<E>> {
+        self.plan_in_turn(evaluator, proposals, std::slice::from_ref(assumed))
+    }
+
+    /// [`GraspPath::plan`] where it is not known what to assume: for the first of these, the most cautious one, for which the hand has a command with any of
+    /// the proposals. Each proposal is closed once, for the last of them.
+    ///
+    /// # Errors
+    /// As [`GraspPath::plan`]; if nothing is assumed.
+    pub fn plan_in_turn<E: Evaluator>(
+        &self,
+        evaluator: &E,
+        mut proposals: Vec<Proposal>,
+        assumptions: &[Assumed],
+    ) -> Result<PlannedGrasp<E>> {
         sort_proposals(&mut proposals);
+        let Some(last) = assumptions.last() else {
+            return Err(Error::value("nothing is assumed of the object", "give a mass and a friction"));
+        };
+        let mut closed: Vec<E::Closed> = Vec::with_capacity(proposals.len());
         let mut first = None;
-        for (i, proposal) in proposals.into_iter().enumerate() {
-            let closed = match self.dry_run {
-                true => evaluator.close(&proposal.grasp, assumed)?,
-                false => evaluator.as_proposed(&proposal.grasp, assumed)?,
-            };
-            let command = evaluator.command(&closed, assumed, self.grip_force(&proposal))?;
-            let holds = command.is_ok();
-            if holds || first.is_none() {
-                first = Some(PlannedGrasp { proposal, place: i + 1, closed, command });
-            }
-            if holds {
-                break;
+        let mut found = None;
+        'found: for (turn, assumed) in assumptions.iter().enumerate() {
+            for (i, proposal) in proposals.iter().enumerate() {
+                if closed.len() == i {
+                    closed.push(match self.dry_run {
+                        true => evaluator.close(&proposal.grasp, last)?,
+                        false => evaluator.as_proposed(&proposal.grasp, last)?,
+                    });
+                }
+                let command = evaluator.command(&closed[i], assumed, self.grip_force(proposal))?;
+                if command.is_ok() {
+                    found = Some((i, turn, command));
+                    break 'found;
+                }
+                first.get_or_insert((i, turn, command));
             }
         }
-        first.ok_or_else(|| {
+        let (i, turn, command) = found.or(first).ok_or_else(|| {
             Error::value("no grasp is proposed", "ask a policy that has learned one, or search for grasps")
+        })?;
+        Ok(PlannedGrasp {
+            proposal: proposals.swap_remove(i),
+            place: i + 1,
+            closed: closed.swap_remove(i),
+            turn,
+            command,
         })
     }
 
@@ -156,6 +186,23 @@ mod tests {
         assert_eq!((proposed.place, proposed.command), (1, Ok(1.0)));
         let fixed = force(PathForce::Fixed(20.0));
         assert_eq!((fixed.place, fixed.command), (3, Ok(20.0)));
+    }
+
+    #[test]
+    fn the_most_cautious_assumption_with_a_command_is_taken_for_any_proposal() {
+        let assume = |friction: f64| Assumed { mass_kg: 0.1, friction };
+        let four = [(3.0, 1.0, 1.0), (2.0, 1.0, 2.0), (5.0, 1.0, 3.0), (6.5, 1.0, 4.0)];
+        let plan = |assumptions: &[Assumed]| {
+            GraspPath::default().plan_in_turn(&PinchByFirstJoint, proposals(&four), assumptions)
+        };
+        // 6.0 N at 0.3, which only the last one has, and 3.6 N at 0.5.
+        let cautious = plan(&[assume(0.2), assume(0.3), assume(0.5)]).unwrap();
+        assert_eq!((cautious.place, cautious.closed, cautious.turn), (4, 6.5, 1));
+        let bold = plan(&[assume(0.5)]).unwrap();
+        assert_eq!((bold.place, bold.closed, bold.turn), (3, 5.0, 0));
+        let none = plan(&[assume(0.1), assume(0.2)]).unwrap();
+        assert!(none.command.is_err() && (none.place, none.turn) == (1, 0));
+        assert!(plan(&[]).err().unwrap().to_string().contains("nothing is assumed"));
     }
 
     #[test]

@@ -47,6 +47,21 @@ pub fn clustered(groups: &[(usize, usize)]) -> Interval {
     }
 }
 
+/// Difference of two success rates of the same clusters, (successes of a, successes of b, trials) of each, `a` minus `b`, with its 95 % interval from the
+/// spread of the clusters' differences (as [`clustered`]). Of fewer than two clusters the interval is everything.
+pub fn clustered_difference(groups: &[(usize, usize, usize)]) -> Interval {
+    let n = groups.iter().map(|g| g.2).sum::<usize>() as f64;
+    let gained = |g: &(usize, usize, usize)| g.0 as f64 - g.1 as f64;
+    let value = groups.iter().map(gained).sum::<f64>() / n.max(1.0);
+    let count = groups.len() as f64;
+    if groups.len() < 2 || n == 0.0 {
+        return Interval { value, low: -1.0, high: 1.0 };
+    }
+    let squares: f64 = groups.iter().map(|g| (gained(g) - value * g.2 as f64).powi(2)).sum();
+    let half = Z * (count / (count - 1.0) * squares).sqrt() / n;
+    Interval { value, low: (value - half).max(-1.0), high: (value + half).min(1.0) }
+}
+
 /// Difference of two success rates on the same trials, `a` minus `b`, with its 95 % interval from the trials that differ.
 ///
 /// The interval is that of Agresti and Min (2005): Wald's with half a trial added to each cell of the table.
@@ -81,6 +96,18 @@ mod tests {
         assert_eq!(wilson(0, 10).low, 0.0);
         assert!(wilson(10, 10).high <= 1.0 && wilson(10, 10).low > 0.69);
         assert_eq!((wilson(0, 0).low, wilson(0, 0).high), (0.0, 1.0));
+    }
+
+    #[test]
+    fn differences_of_clusters_are_as_certain_as_clusters_agree() {
+        // Each object loses one of ten: no doubt. One object of ten loses all ten: the same mean, and next to no certainty.
+        let even = clustered_difference(&[(8, 9, 10); 10]);
+        assert!((even.value + 0.1).abs() < 1e-12 && (even.high - even.low) < 1e-12, "{even:?}");
+        let mut groups = [(9, 9, 10); 10];
+        groups[3] = (0, 10, 10);
+        let one = clustered_difference(&groups);
+        assert!((one.value + 0.1).abs() < 1e-12 && (one.high - 0.096).abs() < 1e-3, "{one:?}");
+        assert_eq!(clustered_difference(&[(3, 1, 10)]), Interval { value: 0.2, low: -1.0, high: 1.0 });
     }
 
     #[test]

@@ -5,12 +5,12 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::Instant;
 
-use drex_core::{ASSUMED_FRICTION, Object, Pose, PoseRecord};
-use drex_grasp::{FingerContacts, Grasp, paper_force};
+use drex_core::{Object, Pose, PoseRecord};
+use drex_grasp::{FingerContacts, Grasp, GripForcePolicy, paper_force};
 use drex_mesh::{AssetOptions, LengthUnit, asset_from_mesh, metric_mesh};
 use drex_policy::{GraspPolicy, Query};
 use drex_robot::Robot;
-use drex_trial::{Assumed, Command, Engine, GraspPath, PlannedGrasp, Reach, TrialEvaluator, TrialOptions};
+use drex_trial::{Assumed, Command, Engine, GraspPath, PlannedGrasp, Reach, TrialEvaluator, TrialOptions, Uncertainty};
 use nalgebra::{Point3, Vector3};
 use serde::ser::SerializeMap;
 use serde::{Serialize, Serializer};
@@ -33,8 +33,9 @@ pub struct PredictOptions {
     pub world_from_object: Option<Pose>,
     /// Mass of the object, kg.
     pub mass_kg: Option<f64>,
-    /// Coefficient of friction between hand and object.
-    pub friction: Option<f64>,
+    /// Lowest and highest coefficient of friction between hand and object; the same number twice where it is known to a tenth. Without a friction
+    /// of the twin either it is [`Uncertainty::ANY_FRICTION`].
+    pub friction: Option<(f64, f64)>,
     /// Largest torque of any joint, N m.
     pub torque_cap_nm: Option<f64>,
 }
@@ -49,8 +50,10 @@ pub struct Predictor {
     pub root: PathBuf,
     /// Model of the hand.
     pub robot: Robot,
-    /// The object with its mass and friction, where it stands.
+    /// The object with its mass, where it stands.
     pub object: Object,
+    /// Lowest and highest friction that is reckoned with; the same number twice where it is known to a tenth.
+    pub friction: (f64, f64),
     points: Vec<Point3<f64>>,
 }
 
@@ -68,8 +71,15 @@ pub struct Prediction {
     pub place: usize,
     /// Mass that was assumed, kg.
     pub mass_kg: f64,
-    /// Coefficient of friction that was assumed.
+    /// Coefficient of friction that was assumed; of an interval the one that the grip force is for.
     pub friction: f64,
+    /// The interval, where friction is not known.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub friction_range: Option<[f64; 2]>,
+    /// Probability that the object asks for more than it is gripped for, where friction is not known: 0.05, or more where motors or object do not bear
+    /// the force that this takes.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub risk: Option<f64>,
     /// Grip force by the network, sum of normal forces, N.
     #[serde(rename = "squeeze_n")]
     pub grip_force_n: f64,
@@ -126,7 +136,8 @@ impl Predictor {
     /// A predictor for an object where it stands; the seed decides which points of it the network sees.
     pub fn new(policy: GraspPolicy, robot: Robot, object: Object, seed: u64) -> Self {
         let points = object.point_cloud(policy.points(), seed);
-        Self { policy, folder: PathBuf::new(), root: PathBuf::new(), robot, object, points }
+        let friction = (object.friction, object.friction);
+        Self { policy, folder: PathBuf::new(), root: PathBuf::new(), robot, object, friction, points }
     }
 
     /// A predictor for the object of a twin, or for a mesh (metres, z up) and the folder of a policy.
@@ -150,12 +161,12 @@ impl Predictor {
             Some(mass) => mass,
             None => twin.mass()?.grip_kg,
         };
-        let mut object = twin.object()?.with_mass(mass_kg);
-        object.friction = options.friction.unwrap_or(object.friction);
+        let object = twin.object()?.with_mass(mass_kg);
+        let friction = options.friction.unwrap_or_else(|| twin.friction_range());
         let own = twin.manifest.grasps.as_ref();
         let robot = hand(&policy, options, own.map(|g| (g.hand.as_str(), g.torque_cap_nm)), &twin.root)?;
         let (folder, root) = (twin.path(POLICY), twin.root.clone());
-        Ok(Self { folder, root, ..Self::new(policy, robot, placed(object, options), twin.seed) })
+        Ok(Self { folder, root, friction, ..Self::new(policy, robot, placed(object, options), twin.seed) })
     }
 
     fn of_policy(folder: &Path, mesh: Option<&Path>, options: &PredictOptions, seed: u64) -> Result<Self> {
@@ -169,12 +180,12 @@ impl Predictor {
         let (mesh, _) = metric_mesh(mesh, LengthUnit::Metre)?;
         let mut asset_options = AssetOptions::default();
         (asset_options.mass_kg, asset_options.unit) = (Some(mass_kg), LengthUnit::Metre);
-        let mut object = asset_from_mesh(&mesh, &asset_options)?.to_exact_object("object")?;
-        object.friction = options.friction.unwrap_or(ASSUMED_FRICTION);
+        let object = asset_from_mesh(&mesh, &asset_options)?.to_exact_object("object")?;
+        let friction = options.friction.unwrap_or(Uncertainty::ANY_FRICTION);
         let policy = GraspPolicy::load(folder)?;
         let robot = hand(&policy, options, None, folder)?;
         let (folder, root) = (folder.to_path_buf(), folder.to_path_buf());
-        Ok(Self { folder, root, ..Self::new(policy, robot, placed(object, options), seed) })
+        Ok(Self { folder, root, friction, ..Self::new(policy, robot, placed(object, options), seed) })
     }
 
     /// The first grasp that the hand can hold on its [`GraspPath`]; the first one, with the reason, if it can hold none.
@@ -184,23 +195,43 @@ impl Predictor {
     pub fn predict(&self) -> Result<Prediction> {
         let start = Instant::now();
         let up = self.object.table().up.into_inner();
-        let query = Query::new(&self.points, self.object.mass_kg(), self.object.friction).with_up(up);
+        let assumptions = self.assumptions()?;
+        let (assumed, risks): (Vec<Assumed>, Vec<Option<f64>>) =
+            assumptions.into_iter().map(|(risk, a)| (a, risk)).unzip();
+        let query = Query::new(&self.points, self.object.mass_kg(), assumed[0].friction).with_up(up);
         let proposals = propose(&self.policy, &query)?;
         let network_ms = 1e3 * start.elapsed().as_secs_f64();
         let start = Instant::now();
-        let assumed = Assumed { mass_kg: self.object.mass_kg(), friction: self.object.friction };
         let robot = Arc::new(self.robot.clone());
         let (options, standing) = (TrialOptions::default(), self.object.clone().at_world_origin());
         let evaluator = TrialEvaluator::new(&standing, &robot, &options, Engine::Diffsim)?;
-        let planned = GraspPath::default().plan(&evaluator, proposals, &assumed)?;
+        let planned = GraspPath::default().plan_in_turn(&evaluator, proposals, &assumed)?;
+        let turn = planned.turn;
         let mut prediction = self.prediction(planned);
+        prediction.risk = risks[turn];
+        prediction.friction = assumed[turn].friction;
+        if prediction.risk.is_some() {
+            // The law takes it for lower than assumed: the interval says how much it can be.
+            prediction.friction *= 1.0 - GripForcePolicy::default().friction_uncertainty;
+            prediction.friction_range = Some([self.friction.0, self.friction.1]);
+        }
         (prediction.network_ms, prediction.force_ms) = (network_ms, 1e3 * start.elapsed().as_secs_f64());
         Ok(prediction)
     }
 
+    /// What to assume in turn, each with its risk where friction is not known.
+    fn assumptions(&self) -> Result<Vec<(Option<f64>, Assumed)>> {
+        let (mass_kg, (low, high)) = (self.object.mass_kg(), self.friction);
+        if low == high {
+            return Ok(vec![(None, Assumed { mass_kg, friction: low })]);
+        }
+        let uncertainty = Uncertainty::new(vec![mass_kg], self.friction)?;
+        Ok(uncertainty.in_turn(&GripForcePolicy::default()).map(|(risk, assumed)| (Some(risk), assumed)).to_vec())
+    }
+
     fn prediction(&self, planned: PlannedGrasp<TrialEvaluator>) -> Prediction {
         let Self { robot, object, .. } = self;
-        let PlannedGrasp { proposal, place, closed, command } = planned;
+        let PlannedGrasp { proposal, place, closed, command, .. } = planned;
         let (command, cannot_hold) = match command {
             Ok(command) => (Some(command), None),
             Err(reason) => (None, Some(reason.to_string())),
@@ -241,7 +272,9 @@ impl Predictor {
             weight: proposal.weight,
             place,
             mass_kg: object.mass_kg(),
-            friction: object.friction,
+            friction: 0.0,
+            friction_range: None,
+            risk: None,
             grip_force_n: proposal.grip_force_n,
             needed_grip_force_n: held.map(|c| c.grip_force_n),
             contacts,

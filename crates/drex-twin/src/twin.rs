@@ -96,6 +96,12 @@ impl Twin {
         self.manifest.friction().0
     }
 
+    /// Lowest and highest friction that a hand has to reckon with: twice what the manifest states, or all that the protocol knows where it states none.
+    #[cfg(feature = "stages")]
+    pub fn friction_range(&self) -> (f64, f64) {
+        self.manifest.object.friction.map_or(drex_trial::Uncertainty::ANY_FRICTION, |f| (f, f))
+    }
+
     /// The files of the demonstrations: that of the manifest, or every one in its folder by name.
     ///
     /// # Errors

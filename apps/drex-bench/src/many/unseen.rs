@@ -1,27 +1,31 @@
 //! How grasps of objects that no network has seen hold: those that a network proposes beside those that a search finds.
 
-use std::sync::Arc;
-use std::sync::Mutex;
+use std::collections::BTreeMap;
+use std::f64::consts::TAU;
+use std::sync::{Arc, Mutex};
 use std::time::Instant;
 
 use anyhow::Result;
+use drex_core::stats::normal_pair;
 use drex_core::{Object, Pose};
 use drex_grasp::{FingerClosing, Grasp, pinch_grasps, power_grasps};
 use drex_policy::Query;
 use drex_policy::proposal::ProposalNetwork;
 use drex_robot::Robot;
 use drex_trial::{
-    Assumed, Condition, ConditionSpread, Engine, Evaluator as _, GraspPath, GripForce, Interval, Proposal,
-    TrialEvaluator, TrialOptions, clustered,
+    Assumed, Condition, ConditionSpread, Engine, Evaluator as _, GripForce, Interval, Proposal, TrialEvaluator,
+    TrialOptions, clustered, clustered_difference,
 };
 use drex_twin::propose::proposals;
 use nalgebra::{Point3, Vector3};
+use rand::{RngExt as _, SeedableRng as _};
+use rand_chacha::ChaCha8Rng;
 use rayon::prelude::*;
 use serde::Serialize;
 
 use super::data::cloud;
 use super::{Category, at_rest, graspable};
-use crate::cell::{Actor, AssumedMass, Cell, Choice, Row, Setting};
+use crate::cell::{Actor, AssumedFriction, AssumedMass, Cell, Row, Setting};
 
 /// Grasps that go through the path, at most.
 const PLACED: usize = 10;
@@ -31,6 +35,10 @@ const PINCHES_PER_POWER: usize = 50;
 const CLOSED: usize = 400;
 /// Of those that are closed, how many go through the path of each rollout.
 const KEPT: usize = 10;
+
+/// Standard deviation of noisy points in each direction, metres, and what distinguishes its seed.
+const NOISE_M: f64 = 0.002;
+const NOISE_SEED: u64 = 0x6e6f_6973;
 
 /// What is compared.
 #[derive(Debug, Clone)]
@@ -56,19 +64,27 @@ enum Way {
     Turned,
     /// What one camera sees of it.
     OneView,
+    /// The same, each point off by up to millimetres.
+    Noisy,
+    /// All of it, but nobody knows the friction.
+    UnknownFriction,
     /// A search with so many hundredths of the effort.
     Search(usize),
 }
 
-const WAYS: [Way; 7] = [
+const WAYS: [Way; 8] = [
     Way::Network(1),
     Way::Network(PLACED),
     Way::Turned,
     Way::OneView,
-    Way::Search(2),
+    Way::Noisy,
+    Way::UnknownFriction,
     Way::Search(10),
     Way::Search(100),
 ];
+
+/// Place in [`WAYS`] of what the others are compared with.
+const REFERENCE: usize = 1;
 
 impl Way {
     fn name(self) -> String {
@@ -77,6 +93,8 @@ impl Way {
             Self::Network(n) => format!("network, its first {n}"),
             Self::Turned => "network, object turned".into(),
             Self::OneView => "network, one view".into(),
+            Self::Noisy => "network, noisy view".into(),
+            Self::UnknownFriction => "network, friction unknown".into(),
             Self::Search(100) => "search".into(),
             Self::Search(hundredths) => format!("search, {hundredths} % of it"),
         }
@@ -93,8 +111,12 @@ pub struct UnseenRow {
     pub n: usize,
     /// 95 %, clustered by object.
     pub interval: Interval,
+    /// The rate less that of the network's first ten under the same conditions, 95 %, clustered by object.
+    pub difference: Interval,
     /// Rollouts without a command.
     pub refused: usize,
+    /// How often each rule was broken first, refusals among them.
+    pub failures: BTreeMap<String, usize>,
     /// Grasps that go through the path per rollout, mean.
     pub candidates: f64,
     /// Time of the network, and to place what it proposes, ms per rollout; of a search, which is made once for each object, all of it.
@@ -135,13 +157,20 @@ pub fn unseen(
         }
         say(line);
     }
-    Ok(WAYS.into_iter().zip(&all).map(|(way, rows)| summary(way, rows)).collect())
+    let reference = &all[REFERENCE];
+    Ok(WAYS.into_iter().zip(&all).map(|(way, rows)| summary(way, rows, reference)).collect())
 }
 
-fn summary(way: Way, rows: &[(Row, Tally)]) -> UnseenRow {
+fn summary(way: Way, rows: &[(Row, Tally)], reference: &[(Row, Tally)]) -> UnseenRow {
     let groups: Vec<(usize, usize)> = rows.iter().map(|(r, _)| (r.successes, r.n)).collect();
+    let both: Vec<(usize, usize, usize)> =
+        rows.iter().zip(reference).map(|((a, _), (b, _))| (a.successes, b.successes, a.n)).collect();
     let refusals = ["cannot_carry", "torque_limit", "crushed"];
     let refused = |r: &Row| refusals.iter().filter_map(|f| r.failures.get(*f)).sum::<usize>();
+    let mut failures = BTreeMap::new();
+    for (name, n) in rows.iter().flat_map(|(r, _)| &r.failures) {
+        *failures.entry(name.clone()).or_insert(0) += n;
+    }
     let mean = |of: &dyn Fn(&Tally) -> f64| {
         let asked: usize = rows.iter().map(|(_, t)| t.asked).sum();
         rows.iter().map(|(_, t)| of(t)).sum::<f64>() / asked.max(1) as f64
@@ -151,7 +180,9 @@ fn summary(way: Way, rows: &[(Row, Tally)]) -> UnseenRow {
         successes: groups.iter().map(|g| g.0).sum(),
         n: groups.iter().map(|g| g.1).sum(),
         interval: clustered(&groups),
+        difference: clustered_difference(&both),
         refused: rows.iter().map(|(r, _)| refused(r)).sum(),
+        failures,
         candidates: mean(&|t| t.placed as f64),
         propose_ms: 1e3 * mean(&|t| t.propose_s),
         place_ms: 1e3 * mean(&|t| t.place_s),
@@ -175,9 +206,12 @@ fn one(
     let count = |of: &dyn Fn(&mut Tally)| tally.lock().map(|mut t| of(&mut t)).unwrap_or_default();
     let (points, views) = cloud(object, seed);
     let seen: Vec<Point3<f64>> = match views.first() {
-        Some(view) if way == Way::OneView => view.iter().map(|i| points[usize::from(*i)]).collect(),
+        Some(view) if matches!(way, Way::OneView | Way::Noisy) => {
+            view.iter().map(|i| points[usize::from(*i)]).collect()
+        }
         _ => points,
     };
+    let seen = if way == Way::Noisy { noisy(&seen, seed) } else { seen };
     let propose = |assumed: &Assumed, most: usize| -> Result<Vec<Proposal>> {
         let start = Instant::now();
         network.propose(&Query::new(&seen, assumed.mass_kg, assumed.friction), most)?;
@@ -193,7 +227,9 @@ fn one(
     };
     let actor = match way {
         Way::Network(most) => Actor::Asked(Box::new(move |a| propose(a, most))),
-        Way::Turned | Way::OneView => Actor::Asked(Box::new(move |a| propose(a, PLACED))),
+        Way::Turned | Way::OneView | Way::Noisy | Way::UnknownFriction => {
+            Actor::Asked(Box::new(move |a| propose(a, PLACED)))
+        }
         Way::Search(hundredths) => {
             let start = Instant::now();
             let kept = searched(object, hand, &evaluator, options.search, hundredths, seed)?;
@@ -205,12 +241,11 @@ fn one(
             Actor::Always(kept)
         }
     };
-    let setting = Setting {
-        mass_kg: object.mass_kg(),
-        told: AssumedMass::Times(1.0),
-        path: GraspPath::default(),
-        choice: Choice::AssumedMass,
+    let friction = match way {
+        Way::UnknownFriction => AssumedFriction::Unknown,
+        _ => AssumedFriction::Told,
     };
+    let setting = Setting { friction, ..Setting::told(object.mass_kg(), AssumedMass::Times(1.0)) };
     let cell = Cell {
         labels: Vec::new(),
         evaluator: &evaluator,
@@ -224,6 +259,13 @@ fn one(
     drop(actor);
     let tally = tally.into_inner().unwrap_or_default();
     Ok((row, tally))
+}
+
+/// The points with normal noise.
+fn noisy(points: &[Point3<f64>], seed: u64) -> Vec<Point3<f64>> {
+    let mut random = ChaCha8Rng::seed_from_u64(seed ^ NOISE_SEED);
+    let mut draw = |_, _| NOISE_M * normal_pair(random.random_range(0.0..1.0), random.random_range(0.0..TAU))[0];
+    points.iter().map(|p| p + Vector3::from_fn(&mut draw)).collect()
 }
 
 /// The grasps of a search that need least friction and then least force once the hand has closed, the best first.
@@ -266,13 +308,19 @@ fn searched(
 impl UnseenRow {
     /// A line for people.
     pub fn text(&self) -> String {
-        let Self { way, successes, n, interval, refused, candidates, propose_ms, place_ms } = self;
+        let Self { way, successes, n, interval, difference, refused, failures, candidates, propose_ms, place_ms } =
+            self;
+        let failures: Vec<String> = failures.iter().map(|(name, n)| format!("{n} {name}")).collect();
         format!(
-            "{way:24} {successes:4} of {n:4}  {:5.1} % ({:.1} to {:.1})  refused {refused:4}  {candidates:4.1} candidates  \
-             {propose_ms:8.1} ms + {place_ms:6.1} ms",
+            "{way:24} {successes:4} of {n:4}  {:5.1} % ({:.1} to {:.1})  {:+.1} ({:+.1} to {:+.1})  refused {refused:4}  {candidates:4.1} candidates  \
+             {propose_ms:8.1} ms + {place_ms:6.1} ms  {}",
             100.0 * interval.value,
             100.0 * interval.low,
             100.0 * interval.high,
+            100.0 * difference.value,
+            100.0 * difference.low,
+            100.0 * difference.high,
+            failures.join(", "),
         )
     }
 }

@@ -7,7 +7,7 @@ use drex_core::Pose;
 use drex_twin::PredictOptions;
 use drex_twin::deploy::{DeployOptions, DeployTo};
 
-use super::values::{pose, positive};
+use super::values::{interval, pose, positive};
 use super::{AllowArgs, GuardArgs, HandArg, LinkArgs, RunArgs};
 
 /// `drex grasp`.
@@ -28,9 +28,9 @@ pub struct GraspArgs {
     /// Mass of the object, kg [default: the twin's].
     #[arg(long, value_name = "KG", value_parser = positive)]
     pub mass: Option<f64>,
-    /// Friction between hand and object [default: the twin's, or 0.5].
-    #[arg(long, value_name = "MU", value_parser = positive)]
-    pub friction: Option<f64>,
+    /// Friction between hand and object, or the ends of an interval that it is in [default: the twin's, or 0.3,0.8].
+    #[arg(long, value_name = "MU|LOW,HIGH", value_parser = interval)]
+    pub friction: Option<(f64, f64)>,
     /// Most that any joint gives, N m [default: the twin's, or what the hand's model says].
     #[arg(long, value_name = "N_M", value_parser = positive)]
     pub torque_cap: Option<f64>,

@@ -35,6 +35,14 @@ pub fn range(text: &str) -> Result<[f64; 2], String> {
     if lo <= hi { Ok([lo, hi]) } else { Err("expected the smaller number first".into()) }
 }
 
+/// [`range`], or a positive number twice.
+pub fn interval(text: &str) -> Result<(f64, f64), String> {
+    match text.contains(',') {
+        true => range(text).map(|[low, high]| (low, high)),
+        false => positive(text).map(|number| (number, number)),
+    }
+}
+
 /// Two marks and the metres between them, `A-C=0.12`.
 pub fn known_distance(text: &str) -> Result<KnownDistance, String> {
     let wrong = || "expected two marks and metres, such as A-C=0.12".to_owned();

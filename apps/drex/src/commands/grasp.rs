@@ -15,8 +15,14 @@ pub fn run(args: &GraspArgs, seed: Option<u64>, ui: &Ui) -> Result<()> {
 fn text(p: &Prediction) -> String {
     let [x, y, z] = p.world_from_base.translation_m;
     let [qw, qx, qy, qz] = p.world_from_base.quat_wxyz;
+    let friction = match (p.friction_range, p.risk) {
+        (Some([low, high]), Some(risk)) => {
+            format!("{low} to {high}, gripped for {:.3}: {:.0} % are smoother", p.friction, 100.0 * risk)
+        }
+        _ => p.friction.to_string(),
+    };
     let mut lines = vec![
-        format!("{} for {:.0} g at friction {}", p.grasp.hand, 1e3 * p.mass_kg, p.friction),
+        format!("{} for {:.0} g at friction {friction}", p.grasp.hand, 1e3 * p.mass_kg),
         format!("  base     {x:.4} {y:.4} {z:.4} m, quaternion {qw:.4} {qx:.4} {qy:.4} {qz:.4} (world)"),
     ];
     let joints = p.grasp.joint_names.iter().zip(&p.grasp.joints_rad).map(|(name, q)| format!("{name} {q:.3}"));

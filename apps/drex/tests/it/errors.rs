@@ -55,6 +55,7 @@ const CASES: &[Case] = &[
     ("train", &["bare"], 1, &["bare/twin.toml has no [grasps] section", "name a file of demonstrated grasps"]),
     ("evaluate", &["tin/push"], 1, &["tin/push/twin.toml", "give a twin.toml or the folder that holds it"]),
     ("grasp", &["tin"], 1, &["tin has no policy yet", "run `drex train tin` first"]),
+    ("grasp", &["tin", "--friction", "0.8,0.3"], 2, &["--friction", "expected the smaller number first"]),
     ("deploy", &["tin", "--emulate"], 1, &["tin has no policy yet", "run `drex train tin` first"]),
     ("deploy", &["tin", "--emulate", "--port", "here"], 2, &["--port <PATH>", "cannot be used with"]),
     ("hw ping", &["--hand", "leap", "--port", "nowhere"], 1, &["port nowhere", "plug the hand in"]),

@@ -43,6 +43,18 @@ fn a_trained_twin_grasps_and_deploys() {
     // Twice the mass is twice the paper's number, as long as the same fingers touch.
     assert_eq!(answer["mass_kg"], 0.2);
 
+    // Of a friction that is not known the force is for the smoothest five in a hundred, or as many as the motors leave.
+    let unknown =
+        |friction: &[&str]| drex([&["grasp", at, "--json", "--mass", "0.2", "--pose", pose], friction].concat()).json();
+    let between = unknown(&["--friction", "0.3,0.8"]);
+    assert_eq!(between["friction_range"], serde_json::json!([0.3, 0.8]));
+    let (risk, friction) = (between["risk"].as_f64().unwrap(), between["friction"].as_f64().unwrap());
+    assert!((friction - (0.3 + 0.5 * risk)).abs() < 1e-6 && (0.05..=0.5).contains(&risk), "{risk} {friction}");
+    assert!(answer["risk"].is_null() && answer["friction"] == 0.5 && unknown(&["--friction", "0.5"]) == answer);
+    edit(&twin.join("twin.toml"), "friction = 0.5", "# friction = 0.5");
+    assert_eq!(unknown(&[]), between);
+    edit(&twin.join("twin.toml"), "# friction = 0.5", "friction = 0.5");
+
     // Motors that give next to nothing carry nothing.
     let weak = drex(["grasp", at, "--json", "--torque-cap", "1e-3"]).json();
     assert!(weak["cannot_hold"].is_string() && weak["needed_squeeze_n"].is_null(), "{weak}");

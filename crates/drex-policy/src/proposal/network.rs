@@ -51,7 +51,10 @@ struct Card {
 }
 
 /// Networks that ship with the crate, by the name of the hand's model.
-const BUNDLED: [(&str, &[u8]); 1] = [("leap_right", include_bytes!("../../weights/leap_right.safetensors"))];
+const BUNDLED: [(&str, &[u8]); 2] = [
+    ("leap_right", include_bytes!("../../weights/leap_right.safetensors")),
+    ("allegro_right", include_bytes!("../../weights/allegro_right.safetensors")),
+];
 
 /// Says what a file is; the number is raised when the meaning of an array changes.
 const FORMAT: &str = "drex-grasp-proposals";
@@ -83,8 +86,8 @@ impl ProposalNetwork {
         Self { card, prototypes, arrays }
     }
 
-    /// The network that ships with the crate for a hand model of this name, if there is one: for `leap_right`. How it was trained stands in
-    /// `weights/README.md`.
+    /// The network that ships with the crate for a hand model of this name, if there is one: for `leap_right` and `allegro_right`. How they were trained stands
+    /// in `weights/README.md`.
     pub fn bundled(hand: &str) -> Option<Self> {
         let (_, bytes) = BUNDLED.iter().find(|(name, _)| *name == hand)?;
         // A test reads each of them.

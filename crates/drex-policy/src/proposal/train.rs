@@ -32,8 +32,6 @@ const ONE_VIEW: f64 = 0.5;
 const NOISE_M: f64 = 0.002;
 /// Frictions that are drawn, and masses: the labelled ones, and between them.
 const FRICTION: [f64; 2] = [0.2, 1.0];
-/// What a grasp counts that nobody has simulated: the share of the others that held (703 of 1145 with a LEAP hand).
-const UNTRIED: f32 = 0.61;
 /// Weight of the changes beside the rates.
 const CHANGES: f32 = 0.1;
 /// Changes larger than this, in their units, count no more than in proportion.
@@ -86,6 +84,7 @@ pub fn train(
     check(objects, &hand)?;
     let mut random = ChaCha8Rng::seed_from_u64(options.seed);
     let (prototypes, shapes) = prototypes(objects, options.prototypes, &mut random);
+    let untried = share_held(objects);
     let layout = Layout { joints: hand.joint_names.len(), prototypes: prototypes.len() };
     let mut arrays = layout.initial(options.seed);
     arrays[at::RATE + 1].fill(START_LOG_RATE);
@@ -98,7 +97,7 @@ pub fn train(
             .map(|i| {
                 let mut random = ChaCha8Rng::seed_from_u64(options.seed);
                 random.set_stream(1 + (step * options.scenes + i) as u64);
-                Example::draw(objects, &prototypes, &shapes, options.places, &mut random)
+                Example::draw(objects, untried, &prototypes, &shapes, options.places, &mut random)
             })
             .collect();
         let (losses, gradients) =
@@ -155,6 +154,13 @@ fn check(objects: &[GraspedObject], hand: &HandCard) -> Result<()> {
     Ok(())
 }
 
+/// Share of the grasps that held of those that were tried, in hundredths: what one counts that nobody has tried.
+fn share_held(objects: &[GraspedObject]) -> f32 {
+    let tried: Vec<bool> = objects.iter().flat_map(|o| &o.grasps).filter_map(|g| g.held).collect();
+    let held = tried.iter().filter(|h| **h).count();
+    (100.0 * held as f32 / tried.len().max(1) as f32).round() / 100.0
+}
+
 /// The points that tell grasps apart, in a frame.
 fn shape(grasp: &LabelledGrasp, anchor: &Pose) -> Vec<f32> {
     let from = anchor.inverse();
@@ -209,6 +215,7 @@ struct Example {
 impl Example {
     fn draw(
         objects: &[GraspedObject],
+        untried: f32,
         prototypes: &[Prototype],
         shapes: &[Vec<f32>],
         places: usize,
@@ -243,7 +250,7 @@ impl Example {
             let at = Point3::from(anchor.translation.vector);
             for grasp in object.grasps.iter().filter(|g| g.carries(mass_kg, friction)) {
                 let away = grasp.touches().map(|c| (c - at).norm()).fold(f64::INFINITY, f64::min);
-                let held = grasp.held.map_or(UNTRIED, |h| if h { 1.0 } else { 0.0 });
+                let held = grasp.held.map_or(untried, |h| if h { 1.0 } else { 0.0 });
                 if away > FAR_M || held == 0.0 {
                     continue;
                 }

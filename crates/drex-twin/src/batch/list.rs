@@ -33,7 +33,7 @@ pub struct Item {
 pub enum Task {
     /// The stages of a twin folder.
     Twin(PathBuf),
-    /// A grasp is looked for: [`drex_trial::find_grasp`].
+    /// A grasp is looked for: [`propose::find_grasp`](crate::propose::find_grasp).
     Find(FindTask),
 }
 

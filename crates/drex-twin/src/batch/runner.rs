@@ -8,7 +8,6 @@ use drex_core::{ASSUMED_FRICTION, Object, fsutil};
 use drex_mesh::{AssetOptions, build_asset};
 use drex_robot::Robot;
 use drex_splat::usage;
-use drex_trial::find_grasp_watched;
 use serde::{Deserialize, Serialize};
 
 use super::journal::Entry;
@@ -18,6 +17,7 @@ use super::search::{self, SearchFile};
 use crate::lock::{Inputs, digest_of};
 use crate::manifest::LengthUnit;
 use crate::progress::flow;
+use crate::propose::find_grasp;
 use crate::records::write_json;
 use crate::{Error, Progress, Result, RunOptions, Stage, Twin, with_torque_cap};
 
@@ -90,7 +90,7 @@ impl Runner {
         let object = self.object(task)?.with_mass(task.mass_kg);
         let object = Object { friction, ..object };
         progress.begin("find", None);
-        let found = find_grasp_watched(&object, &hand, &task.options(seed), &|_| flow(progress));
+        let found = find_grasp(&object, &hand, &task.options(seed), &|_| flow(progress));
         progress.end();
         if progress.is_stopped() {
             return Err(Error::Stopped);

@@ -3,8 +3,9 @@
 use std::path::PathBuf;
 
 use drex_core::PoseRecord;
+use drex_grasp::GripForcePolicy;
 use drex_policy::{GraspPolicy, Query};
-use drex_trial::{Command, Condition, ConditionSpread, Evaluator, Frame, GraspPath, Verdict, wilson};
+use drex_trial::{Command, Condition, ConditionSpread, Evaluator, Frame, GraspPath, Uncertainty, Verdict, wilson};
 use rayon::prelude::*;
 
 use super::simulated::Simulated;
@@ -28,7 +29,13 @@ pub(crate) fn make(twin: &Twin, progress: &dyn Progress) -> Result<Vec<PathBuf>>
     let policy = GraspPolicy::load(&twin.path(POLICY))?;
     // As `drex grasp` plans it: with exact distances.
     let simulated = Simulated::new(twin.object()?, &robot, mass.grip_kg)?;
-    let spread = ConditionSpread::around(Some(twin.friction()));
+    let spread = ConditionSpread::around(twin.manifest.object.friction);
+    let unknown = match twin.manifest.object.friction {
+        Some(_) => None,
+        None => {
+            Some(Uncertainty::new(vec![mass.grip_kg], Uncertainty::ANY_FRICTION)?.in_turn(&GripForcePolicy::default()))
+        }
+    };
     let conditions = spread.conditions(ROLLOUTS, twin.seed ^ TRIAL_SEED);
     let true_masses_kg = mass.posterior.sample_kg(ROLLOUTS, twin.seed ^ TRIAL_SEED ^ MASS_SEED);
     let cloud = simulated.object.point_cloud(POINTS, twin.seed);
@@ -39,9 +46,12 @@ pub(crate) fn make(twin: &Twin, progress: &dyn Progress) -> Result<Vec<PathBuf>>
         if progress.is_stopped() {
             return Err(Error::Stopped);
         }
-        let assumed = condition.assumed(mass.grip_kg);
-        let query = Query::new(&cloud, assumed.mass_kg, assumed.friction).with_up(up);
-        let planned = GraspPath::default().plan(&simulated.evaluator, propose(&policy, &query)?, &assumed)?;
+        let assumed = match &unknown {
+            Some(in_turn) => in_turn.map(|(_, assumed)| assumed).to_vec(),
+            None => vec![condition.assumed(mass.grip_kg)],
+        };
+        let query = Query::new(&cloud, mass.grip_kg, assumed[0].friction).with_up(up);
+        let planned = GraspPath::default().plan_in_turn(&simulated.evaluator, propose(&policy, &query)?, &assumed)?;
         let mut record = RolloutRecord {
             verdict: Verdict::NoContact,
             mass_kg: *true_kg,

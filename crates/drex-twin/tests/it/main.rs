@@ -8,6 +8,7 @@ mod interrupted;
 mod locked;
 mod manifest;
 mod old;
+mod propose;
 mod records;
 mod refused;
 #[path = "../support/mod.rs"]
