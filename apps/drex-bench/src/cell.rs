@@ -283,8 +283,8 @@ mod tests {
             grip_force_n: 0.0,
             weight,
         };
-        // 100 g take 4.5 N at the lowest friction that is told, 300 g 13.
-        let actor = Actor::Always(vec![proposal(7.0, 0.9), proposal(50.0, 0.1)]);
+        // 100 g take 4.5 N at the lowest friction that is told, 7.5 N at 0.6 of it, 300 g 13.
+        let actor = Actor::Always(vec![proposal(8.0, 0.9), proposal(50.0, 0.1)]);
         let conditions = ConditionSpread::around(Some(0.5)).conditions(30, 4);
         let run = |told, choice| {
             let path = GraspPath::default();

