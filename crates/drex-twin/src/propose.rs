@@ -7,7 +7,7 @@ use drex_grasp::{FingerClosing, Grasp, GraspOrigin};
 use drex_policy::Query;
 use drex_policy::proposal::ProposalNetwork;
 use drex_robot::Robot;
-use drex_trial::{Assumed, FindOptions, Proposal, TriedGrasp, find_grasp_among, find_grasp_watched};
+use drex_trial::{Assumed, FindOptions, Proposal, TriedGrasp, Uncertainty, find_grasp_among, find_grasp_watched};
 use nalgebra::Point3;
 
 use crate::Result;
@@ -40,6 +40,8 @@ pub fn find_grasp(
     let network = ProposalNetwork::bundled(&hand.name).filter(|n| hand.joint_names() == n.hand().joint_names);
     let Some(network) = network else { return Ok(find_grasp_watched(object, hand, options, watch)?) };
     let assumed = Assumed { mass_kg: object.mass_kg(), friction: object.friction };
+    // Refuses what is no mass or no friction, in the words of a search.
+    Uncertainty::new(vec![assumed.mass_kg], (assumed.friction, assumed.friction))?;
     let points = object.point_cloud(POINTS, options.seed);
     let seen: Vec<Point3<f64>> = points.iter().map(|p| object.world_from_object * p).collect();
     let closing = FingerClosing::new(hand)?;
@@ -49,6 +51,7 @@ pub fn find_grasp(
     let proposed = find_grasp_among(object, hand, &grasps, options, &|part| watch(PROPOSALS_PART * part))?;
     let share = |found: &Option<TriedGrasp>| found.as_ref().map_or(0.0, |f| f.interval.value);
     if share(&proposed) >= GOOD_ENOUGH {
+        let _ = watch(1.0);
         return Ok(proposed);
     }
     let rest = |part| watch(PROPOSALS_PART + (1.0 - PROPOSALS_PART) * part);

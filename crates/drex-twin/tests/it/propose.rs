@@ -39,7 +39,9 @@ fn a_can_is_grasped_as_the_network_proposes() {
     let found = propose::find_grasp(&can, &hand, &options, &watch).unwrap().unwrap();
     assert!(found.held >= 5 && found.verdicts.len() == 6, "{:?}", found.verdicts);
     let parts = parts.into_inner().unwrap();
-    assert!(parts.len() > 1 && parts.iter().all(|part| (0.0..=1.0).contains(part)));
+    assert!(parts.iter().all(|part| (0.0..=1.0).contains(part)) && parts.last() == Some(&1.0), "{parts:?}");
+    let negative = propose::find_grasp(&can.clone().with_mass(-1.0), &hand, &options, &|_| ControlFlow::Continue(()));
+    assert!(negative.err().unwrap().to_string().contains("-1 kg"));
     let stopped = propose::find_grasp(&can, &hand, &options, &|_| ControlFlow::Break(())).err().unwrap();
     assert!(matches!(stopped, Error::Trial(drex_trial::Error::Stopped) | Error::Stopped), "{stopped}");
 }
