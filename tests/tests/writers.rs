@@ -41,6 +41,7 @@ use Why::{Caller, Checked, Constant};
 const WRITERS: &[(&str, Why)] = &[
     ("apps/drex-bench/src/generate/file.rs", Checked),
     ("apps/drex-bench/src/library.rs", Checked),
+    ("apps/drex-bench/src/many/data.rs", Caller),
     ("apps/drex-bench/src/run.rs", Checked),
     ("apps/drex-bench/src/table.rs", Constant),
     ("apps/drex-bench/src/tin/push.rs", Constant),
@@ -76,6 +77,7 @@ const WRITERS: &[(&str, Why)] = &[
     ("crates/drex-sfm/src/result.rs", Checked),
     ("crates/drex-twin/src/scan.rs", Checked),
     ("crates/drex-policy/src/files.rs", Constant),
+    ("crates/drex-policy/src/proposal/network.rs", Caller),
     ("crates/drex-policy/src/train/checkpoint.rs", Constant),
     ("crates/drex-recording/src/convert/mod.rs", Checked),
     ("crates/drex-recording/src/readers/grasps.rs", Caller),

@@ -42,7 +42,7 @@ pub enum AssumedMass {
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum AssumedFriction {
     /// What it is, to within the error of the condition.
-    Told,
+    Known,
     /// Anywhere in the range of the protocol.
     Unknown,
 }
@@ -71,14 +71,14 @@ pub struct Setting {
 
 impl Setting {
     /// The whole path for an object of this mass, chosen by what the hand takes it for, with the friction told.
-    pub fn told(mass_kg: f64, told: AssumedMass) -> Self {
-        let (friction, path) = (AssumedFriction::Told, GraspPath::default());
+    pub fn assuming(mass_kg: f64, told: AssumedMass) -> Self {
+        let (friction, path) = (AssumedFriction::Known, GraspPath::default());
         Self { mass_kg, told, friction, path, choice: Choice::AssumedMass }
     }
 
     /// The same, chosen by what it is.
     pub fn chosen_by_truth(mass_kg: f64, told: AssumedMass) -> Self {
-        Self { choice: Choice::True, ..Self::told(mass_kg, told) }
+        Self { choice: Choice::True, ..Self::assuming(mass_kg, told) }
     }
 }
 
@@ -202,7 +202,7 @@ impl AssumedFriction {
     /// What the hand assumes in turn of an object that it takes for `mass_kg`.
     fn assumptions(self, condition: &Condition, mass_kg: f64) -> Result<Vec<Assumed>> {
         match self {
-            Self::Told => Ok(vec![condition.assumed(mass_kg)]),
+            Self::Known => Ok(vec![condition.assumed(mass_kg)]),
             Self::Unknown => {
                 let uncertainty = Uncertainty::new(vec![mass_kg], Uncertainty::ANY_FRICTION)?;
                 Ok(uncertainty.in_turn(&GripForcePolicy::default()).map(|(_, assumed)| assumed).to_vec())
@@ -288,7 +288,7 @@ mod tests {
         let conditions = ConditionSpread::around(Some(0.5)).conditions(30, 4);
         let run = |told, choice| {
             let path = GraspPath::default();
-            let setting = Setting { path, choice, ..Setting::told(0.1, AssumedMass::Times(told)) };
+            let setting = Setting { path, choice, ..Setting::assuming(0.1, AssumedMass::Times(told)) };
             let cell = Cell {
                 labels: vec![],
                 evaluator: &PinchByFirstJoint,
@@ -329,7 +329,7 @@ mod tests {
         let points = object.point_cloud(POINTS, 5);
         let actor = Actor::Policy(&learned, &points, object.table().up.into_inner());
         let (told, path) = (AssumedMass::Times(1.0), GraspPath::default());
-        let setting = Setting { path, ..Setting::told(object.mass_kg(), told) };
+        let setting = Setting { path, ..Setting::assuming(object.mass_kg(), told) };
         let (evaluator, labels) = (&evaluator, vec![]);
         let cell = Cell { labels, evaluator, actor: &actor, setting, least_friction: None, compare: false };
         let (kg, friction) = (object.mass_kg(), object.friction);

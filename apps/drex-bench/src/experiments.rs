@@ -164,7 +164,7 @@ impl<E: Evaluator> Bench<'_, E> {
             let labels = vec![("object", spec.name.clone()), ("true", grams(spec.mass_kg))];
             let least = self.least_friction(&ready, spec.mass_kg)?;
             let told = AssumedMass::Identified(IDENTIFIED_SD);
-            let setting = Setting::told(spec.mass_kg, told);
+            let setting = Setting::assuming(spec.mass_kg, told);
             self.add(&ready, &actor, labels, setting, least, table)?;
         }
         let n = whole(&table.rows).count().max(1) as f64;
@@ -244,7 +244,7 @@ impl<E: Evaluator> Bench<'_, E> {
                 };
                 let actor = ready.policy(&policy);
                 let told = AssumedMass::Identified(IDENTIFIED_SD);
-                let setting = Setting::told(spec.mass_kg, told);
+                let setting = Setting::assuming(spec.mass_kg, told);
                 self.add(&ready, &actor, labels, setting, least, table)?;
             }
             if CLIPS.into_iter().any(|count| count > clips.len()) {
@@ -280,7 +280,7 @@ impl<E: Evaluator> Bench<'_, E> {
                 let labels = vec![("object", spec.name.clone()), ("trained on", from), ("true", grams(spec.mass_kg))];
                 // The force is not what is transferred: the law has the contacts of this object.
                 let told = AssumedMass::Times(1.0);
-                let setting = Setting::told(spec.mass_kg, told);
+                let setting = Setting::assuming(spec.mass_kg, told);
                 self.add(&ready, &actor, labels, setting, least, table)?;
             }
         }

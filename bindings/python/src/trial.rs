@@ -304,7 +304,7 @@ impl TriedGrasp {
 /// Finds a grasp of a mesh by a hand that holds in simulation; None if none does. It takes some seconds.
 ///
 /// The object is what `Trial` takes, and so is `hand`. If a network for this hand comes with the package, its proposals are tried first. If there is
-/// none, or they hold in fewer than nine tenths of the trials, `candidates` pinches are looked at, and a fiftieth as many power grasps. `simulated` of
+/// none, or they hold under fewer than nine tenths of the conditions of the selection, `candidates` pinches are looked at, and a fiftieth as many power grasps. `simulated` of
 /// what is found are simulated before one is chosen, which then goes through `trials` further trials. `progress` is called now and
 /// then with about the part that is done, from 0 to 1.
 #[pyfunction]

@@ -50,6 +50,8 @@ pub struct TriedGrasp {
     pub grasp: Grasp,
     /// Grip force for the object's mass and friction, sum of the normal forces, N.
     pub grip_force_n: f64,
+    /// Share of the conditions of the selection under which it held. It was chosen for them; the trials have others.
+    pub selected_share: f64,
     /// Number of trials in which the object stayed in the hand.
     pub held: usize,
     /// How each trial ended.
@@ -120,6 +122,7 @@ fn find(
     };
     let selected = select_grasps(object, &hand, &grasps, &evaluator, &[object.mass_kg()], &selection)?;
     let Some(best) = selected.grasps.into_iter().find(|g| g.scores.iter().any(|s| *s > 0.0)) else { return Ok(None) };
+    let selected_share = best.scores.iter().filter(|s| **s > 0.0).count() as f64 / best.scores.len() as f64;
     let grasp = best.grasp;
     let conditions = spread.conditions(options.trials, options.seed ^ FIND_SEED);
     let tried = rollouts(&evaluator, &grasp, object.mass_kg(), &conditions)?;
@@ -129,5 +132,5 @@ fn find(
     let held = verdicts.iter().filter(|v| **v == Verdict::Success).count();
     let interval = wilson(held, verdicts.len());
     let _ = watch(1.0);
-    Ok(grip_force_n.map(|grip_force_n| TriedGrasp { grasp, grip_force_n, held, verdicts, interval }))
+    Ok(grip_force_n.map(|grip_force_n| TriedGrasp { grasp, grip_force_n, selected_share, held, verdicts, interval }))
 }

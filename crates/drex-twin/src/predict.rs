@@ -76,8 +76,8 @@ pub struct Prediction {
     /// The interval, where friction is not known.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub friction_range: Option<[f64; 2]>,
-    /// Probability that the object asks for more than it is gripped for, where friction is not known: 0.05, or more where motors or object do not bear
-    /// the force that this takes.
+    /// Probability that the object asks for more than it is gripped for, where friction is not known and there is a grip force: 0.05, or more where
+    /// motors or object do not bear the force that this takes.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub risk: Option<f64>,
     /// Grip force by the network, sum of normal forces, N.
@@ -214,6 +214,10 @@ impl Predictor {
             // The law takes it for lower than assumed: the interval says how much it can be.
             prediction.friction *= 1.0 - GripForcePolicy::default().friction_uncertainty;
             prediction.friction_range = Some([self.friction.0, self.friction.1]);
+        }
+        if prediction.cannot_hold.is_some() {
+            // Nothing is gripped at any risk.
+            prediction.risk = None;
         }
         (prediction.network_ms, prediction.force_ms) = (network_ms, 1e3 * start.elapsed().as_secs_f64());
         Ok(prediction)

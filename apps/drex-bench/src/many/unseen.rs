@@ -243,9 +243,9 @@ fn one(
     };
     let friction = match way {
         Way::UnknownFriction => AssumedFriction::Unknown,
-        _ => AssumedFriction::Told,
+        _ => AssumedFriction::Known,
     };
-    let setting = Setting { friction, ..Setting::told(object.mass_kg(), AssumedMass::Times(1.0)) };
+    let setting = Setting { friction, ..Setting::assuming(object.mass_kg(), AssumedMass::Times(1.0)) };
     let cell = Cell {
         labels: Vec::new(),
         evaluator: &evaluator,
