@@ -88,6 +88,8 @@ pub struct Cell<'a, E: Evaluator> {
     pub evaluator: &'a E,
     pub actor: &'a Actor<'a>,
     pub setting: Setting,
+    /// Largest normal force of a finger before the object is damaged, N, which nobody tells the hand.
+    pub damaged_at_n: Option<f64>,
     /// Least friction at which any grasp of the library carries the load.
     pub least_friction: Option<f64>,
     /// Whether every command is carried out in the engine of the practice as well, to compare.
@@ -103,8 +105,10 @@ pub struct Row {
     pub n: usize,
     /// 95 %, Wilson's.
     pub interval: Interval,
-    /// How often each rule was broken first.
+    /// How often each rule was broken first, of what was carried out.
     pub failures: BTreeMap<String, usize>,
+    /// Why there was no command, and how often.
+    pub refusals: BTreeMap<String, usize>,
     /// Share of the rollouts in which any grasp of the library could hold on paper.
     pub bound: f64,
     /// Median commanded grip force, N, over rollouts with a command.
@@ -130,22 +134,31 @@ pub struct Agreement {
     pub disagreements: BTreeMap<String, usize>,
 }
 
+/// One rollout of a cell.
+struct Rollout {
+    judged: Evaluation,
+    /// What the engine of the practice says, if that is compared and there was a command.
+    other: Option<Evaluation>,
+    /// There was no command.
+    refused: bool,
+}
+
 impl<E: Evaluator> Cell<'_, E> {
     /// All rollouts of the cell. The same for any number of threads.
     ///
     /// # Errors
     /// If something cannot be simulated.
     pub fn run(&self, conditions: &[Condition]) -> Result<Row> {
-        let both: Vec<(Evaluation, Option<Evaluation>)> =
-            conditions.par_iter().map(|c| self.rollout(c)).collect::<Result<_>>()?;
-        let agreement = self.compare.then(|| agreement(&both));
-        let judged: Vec<Evaluation> = both.into_iter().map(|b| b.0).collect();
-        let held: Vec<bool> = judged.iter().map(|j| j.verdict == Verdict::Success).collect();
-        let successes = held.iter().filter(|h| **h).count();
-        let mut failures = BTreeMap::new();
-        for j in judged.iter().filter(|j| j.verdict != Verdict::Success) {
-            *failures.entry(name(j.verdict)).or_insert(0) += 1;
+        let rollouts: Vec<Rollout> = conditions.par_iter().map(|c| self.rollout(c)).collect::<Result<_>>()?;
+        let agreement = self.compare.then(|| agreement(&rollouts));
+        let (mut failures, mut refusals) = (BTreeMap::new(), BTreeMap::new());
+        for r in rollouts.iter().filter(|r| !r.judged.held()) {
+            let counts = if r.refused { &mut refusals } else { &mut failures };
+            *counts.entry(name(r.judged.verdict)).or_insert(0) += 1;
         }
+        let judged: Vec<Evaluation> = rollouts.into_iter().map(|r| r.judged).collect();
+        let held: Vec<bool> = judged.iter().map(Evaluation::held).collect();
+        let successes = held.iter().filter(|h| **h).count();
         let n = judged.len();
         let within = conditions.iter().filter(|c| self.least_friction.is_some_and(|mu| c.friction >= mu)).count();
         Ok(Row {
@@ -154,6 +167,7 @@ impl<E: Evaluator> Cell<'_, E> {
             n,
             interval: wilson(successes, n),
             failures,
+            refusals,
             bound: within as f64 / n.max(1) as f64,
             median_grip_force_n: upper_median(judged.iter().map(|j| j.grip_force_n).filter(|s| *s > 0.0)),
             median_delivered_n: upper_median(judged.iter().filter_map(|j| j.held_n)),
@@ -162,15 +176,27 @@ impl<E: Evaluator> Cell<'_, E> {
         })
     }
 
-    /// What the evaluator says, and what the engine of the practice says if that is compared and there was a command.
-    fn rollout(&self, condition: &Condition) -> Result<(Evaluation, Option<Evaluation>)> {
+    fn rollout(&self, condition: &Condition) -> Result<Rollout> {
         let truth = condition.truth(self.setting.mass_kg);
         match self.plan(condition)? {
             Ok(command) => {
                 let other = self.compare.then(|| self.evaluator.validate(&command, &truth)).transpose()?;
-                Ok((self.evaluator.evaluate(&command, &truth)?, other))
+                let other = other.map(|other| self.or_damaged(other));
+                Ok(Rollout {
+                    judged: self.or_damaged(self.evaluator.evaluate(&command, &truth)?),
+                    other,
+                    refused: false,
+                })
             }
-            Err(reason) => Ok((Evaluation::refused(&reason), None)),
+            Err(reason) => Ok(Rollout { judged: Evaluation::refused(&reason), other: None, refused: true }),
+        }
+    }
+
+    /// What holds has not held if a finger pressed harder than the object stands.
+    fn or_damaged(&self, evaluation: Evaluation) -> Evaluation {
+        match self.damaged_at_n.is_some_and(|most| evaluation.held() && evaluation.peak_finger_n > most) {
+            true => Evaluation { verdict: Verdict::Crushed, safety_margin: 0.0, ..evaluation },
+            false => evaluation,
         }
     }
 
@@ -212,7 +238,8 @@ impl AssumedFriction {
 }
 
 impl Actor<'_> {
-    fn propose(&self, assumed: &Assumed) -> Result<Vec<Proposal>> {
+    /// Proposals for what is assumed.
+    pub fn propose(&self, assumed: &Assumed) -> Result<Vec<Proposal>> {
         match self {
             Self::Policy(policy, points, up) => Ok(policy.propose(points, up, assumed)?),
             Self::Always(proposals) => Ok(proposals.clone()),
@@ -234,9 +261,9 @@ impl AssumedMass {
 }
 
 /// Counts the rollouts that both engines carried out.
-fn agreement(both: &[(Evaluation, Option<Evaluation>)]) -> Agreement {
+fn agreement(rollouts: &[Rollout]) -> Agreement {
     let mut out = Agreement { same: 0, n: 0, disagreements: BTreeMap::new() };
-    for (judged, other) in both.iter().filter_map(|(j, o)| Some((j, o.as_ref()?))) {
+    for (judged, other) in rollouts.iter().filter_map(|r| Some((&r.judged, r.other.as_ref()?))) {
         out.n += 1;
         if judged.held() == other.held() {
             out.same += 1;
@@ -294,6 +321,7 @@ mod tests {
                 evaluator: &PinchByFirstJoint,
                 actor: &actor,
                 setting,
+                damaged_at_n: None,
                 least_friction: None,
                 compare: false,
             };
@@ -301,8 +329,37 @@ mod tests {
         };
         assert_eq!(run(1.0, Choice::True).successes, 30);
         let row = run(3.0, Choice::True);
-        assert_eq!((row.successes, row.failures["torque_limit"]), (0, 30), "the weak grip, refused");
+        assert_eq!((row.successes, row.refusals["torque_limit"]), (0, 30), "the weak grip, refused");
         assert_eq!(run(3.0, Choice::AssumedMass).successes, 30, "the strong one");
+    }
+
+    #[test]
+    fn what_a_finger_presses_too_hard_is_crushed_and_told_from_what_slips_and_from_what_is_refused() {
+        let grasp = Grasp::new(&Robot::bundled("leap_right").unwrap(), Vec::new(), Pose::identity());
+        let grasp = Grasp { joints_rad: vec![12.0], ..grasp };
+        let actor = Actor::Always(vec![Proposal { grasp, grip_force_n: 0.0, weight: 1.0 }]);
+        let conditions = ConditionSpread::around(Some(0.5)).conditions(30, 4);
+        let run = |assumed, damaged_at_n| {
+            let cell = Cell {
+                labels: vec![],
+                evaluator: &PinchByFirstJoint,
+                actor: &actor,
+                setting: Setting::assuming(0.1, AssumedMass::Times(assumed)),
+                damaged_at_n,
+                least_friction: None,
+                compare: true,
+            };
+            let row = cell.run(&conditions).unwrap();
+            let counts = |of: &BTreeMap<String, usize>| of.iter().map(|(k, n)| format!("{k} {n}")).collect::<String>();
+            (row.successes, counts(&row.failures), counts(&row.refusals), row.agreement.unwrap().same)
+        };
+        // 100 g take 3.7 to 4.5 N, half of it on each side.
+        assert_eq!(run(1.0, None), (30, String::new(), String::new(), 30));
+        assert_eq!(run(1.0, Some(3.0)), (30, String::new(), String::new(), 30));
+        assert_eq!(run(2.0, None), (30, String::new(), String::new(), 30));
+        assert_eq!(run(2.0, Some(3.0)), (0, "crushed 30".into(), String::new(), 30));
+        assert_eq!(run(0.5, Some(3.0)), (0, "slip 30".into(), String::new(), 30));
+        assert_eq!(run(4.0, Some(3.0)), (0, String::new(), "torque_limit 30".into(), 0));
     }
 
     struct Silent;
@@ -330,8 +387,12 @@ mod tests {
         let actor = Actor::Policy(&learned, &points, object.table().up.into_inner());
         let (told, path) = (AssumedMass::Times(1.0), GraspPath::default());
         let setting = Setting { path, ..Setting::assuming(object.mass_kg(), told) };
-        let (evaluator, labels) = (&evaluator, vec![]);
-        let cell = Cell { labels, evaluator, actor: &actor, setting, least_friction: None, compare: false };
+        let evaluator = &evaluator;
+        let of = |setting| {
+            let (labels, damaged_at_n, least_friction, compare) = (vec![], None, None, false);
+            Cell { labels, evaluator, actor: &actor, setting, damaged_at_n, least_friction, compare }
+        };
+        let cell = of(setting);
         let (kg, friction) = (object.mass_kg(), object.friction);
         let condition = ConditionSpread::around(Some(friction)).conditions(1, 5)[0];
         let condition = Condition { friction_factor: 1.0, friction, ..condition };
@@ -353,8 +414,7 @@ mod tests {
         let by_network = |mass_kg: f64, told: AssumedMass| {
             let path = GraspPath { force: PathForce::Proposed, ..GraspPath::default() };
             let setting = Setting { path, ..Setting::chosen_by_truth(mass_kg, told) };
-            let cell = Cell { labels: vec![], evaluator, actor: &actor, setting, least_friction: None, compare: false };
-            bytes(&cell.plan(&condition).unwrap().unwrap())
+            bytes(&of(setting).plan(&condition).unwrap().unwrap())
         };
         let half = 0.5 * kg;
         assert_eq!(by_network(kg, AssumedMass::Always(half)), by_network(half, AssumedMass::Times(1.0)));

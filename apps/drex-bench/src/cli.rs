@@ -64,13 +64,15 @@ pub enum Command {
     GraspTrain(GraspTrainArgs),
     /// How the grasps of a network hold on objects of categories that it has not seen, beside those of a search.
     Unseen(UnseenArgs),
+    /// Make the tables of `benches/results` again: a file for each, with its command, seed, commit and core-minutes.
+    Tables(TablesArgs),
 }
 
 /// What the benches have in common.
 #[derive(Debug, Args)]
 pub struct Common {
     /// TOML list of objects in place of the made ones: an `object` table for each, with name, mesh, mass_kg and perhaps friction, max_force_n,
-    /// up, unit.
+    /// damaged_at_n, up, unit.
     #[arg(long, value_name = "FILE.toml")]
     pub objects: Option<PathBuf>,
     /// Only the objects of these names; repeatable.
@@ -235,9 +237,9 @@ pub struct GraspTrainArgs {
 /// `drex-bench unseen`.
 #[derive(Debug, Args)]
 pub struct UnseenArgs {
-    /// A network of `grasp-train`.
+    /// A network of `grasp-train` [default: the one that ships for the hand].
     #[arg(long, value_name = "FILE")]
-    pub network: PathBuf,
+    pub network: Option<PathBuf>,
     /// Robot hand: leap, allegro, or a file as `drex retarget` takes it.
     #[arg(long, value_name = "NAME|FILE", default_value = "leap")]
     pub hand: String,
@@ -256,6 +258,20 @@ pub struct UnseenArgs {
     /// Engine of the evaluated trials.
     #[arg(long = "judge", value_enum, default_value_t = EngineArg::Diffsim)]
     pub engine: EngineArg,
+}
+
+/// `drex-bench tables`.
+#[derive(Debug, Args)]
+pub struct TablesArgs {
+    /// Only the tables of these names; repeatable.
+    #[arg(long, value_name = "NAME")]
+    pub only: Vec<String>,
+    /// Engine of the evaluated trials.
+    #[arg(long = "judge", value_enum, default_value_t = EngineArg::Diffsim)]
+    pub engine: EngineArg,
+    /// Folder for NAME.md.
+    #[arg(long, value_name = "DIR")]
+    pub out: PathBuf,
 }
 
 fn margin(text: &str) -> Result<f64, String> {

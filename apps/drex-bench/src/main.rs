@@ -16,6 +16,7 @@ mod objects;
 mod run;
 mod shapes;
 mod table;
+mod tables;
 
 use std::process::ExitCode;
 

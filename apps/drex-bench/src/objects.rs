@@ -27,10 +27,39 @@ pub struct ObjectSpec {
     pub mass_kg: f64,
     /// Friction between hand and object where it is known; the protocol's spread where not.
     pub friction: Option<f64>,
-    /// Largest normal force of a finger before it is damaged, N.
+    /// Largest normal force of a finger before it is damaged, N, which the hand is told.
     pub max_force_n: Option<f64>,
+    /// The same where nobody tells the hand.
+    pub damaged_at_n: Option<f64>,
     /// Up in the mesh while it stands; `None`: in its most probable resting pose.
     pub up: Option<Vector3<f64>>,
+}
+
+/// Things whose limit somebody has measured: name, largest normal force of a fingertip in N, mass in kg.
+///
+/// Expanded polystyrene stays elastic up to 1 % strain, at 40, 50 and 75 kPa for the types EPS19, EPS22 and EPS29 (ASTM D6817, table 1), here on the pad of a
+/// fingertip, 1 cm². 10 N of a fingertip "can crack an egg or crush a soda can" (ROS, `pr2_gripper_sensor_msgs/PR2GripperForceServoCommand`).
+///
+/// The mass is the one at which the limit is [`damaged_by_half_as_much_again`] for an even pinch; a hand that presses otherwise is given another.
+const FRAGILE: [(&str, f64, f64); 4] = [
+    ("foam_letter_a", 4.0, 0.144),
+    ("foam_letter_u", 5.0, 0.180),
+    ("foam_letter_y", 7.5, 0.270),
+    ("soda_can", 10.0, 0.360),
+];
+/// The mass in kg of something that stands `limit_n` on each side: a grip of `per_weight` weights in all, half of it on each side, and half a weight of a shake
+/// that is added on one of them, stay below the limit by as large a factor as a grip for half as much again is above it.
+pub fn damaged_by_half_as_much_again(limit_n: f64, per_weight: f64) -> f64 {
+    let pressed = |factor: f64| 0.5 * factor * per_weight + 0.5;
+    limit_n / (9.81 * (pressed(1.0) * pressed(1.5)).sqrt())
+}
+
+/// Friction of fragile things: the middle of the protocol's spread, as for the letters of `cross-mass`.
+pub const FRAGILE_FRICTION: f64 = 0.55;
+
+/// Fragile things of 145 to 370 g.
+pub fn fragile() -> Result<Vec<ObjectSpec>> {
+    FRAGILE.iter().map(|(name, ..)| named(name)).collect()
 }
 
 /// The eight objects of the paper's figure, lightest first.
@@ -103,14 +132,26 @@ pub fn named(name: &str) -> Result<ObjectSpec> {
             0.726,
             z,
         ),
+        "foam_letter_a" => (letter_a()?, 0.0, z),
+        "foam_letter_u" => (letter_u()?, 0.0, z),
+        "foam_letter_y" => (letter_y()?, 0.0, z),
+        // 330 ml: 66 mm wide, 115 mm high, a lid of 54 mm.
+        "soda_can" => (lathe(&[[0.025, 0.0], [0.033, 0.009], [0.033, 0.100], [0.027, 0.115]]), 0.0, z),
         "screwdriver" => (screwdriver(1.0), 0.097, Some(flat_side())),
         "small_screwdriver" => (screwdriver(0.75), 0.041, Some(flat_side())),
         _ => bail!(
             "there is no made object \"{name}\"; there are light_bulb, cube, letter_a, letter_u, letter_y, cookie_tin, spam_can, \
-             nutella_jar, spray_bottle, ketchup_bottle, screwdriver and small_screwdriver"
+             nutella_jar, spray_bottle, ketchup_bottle, foam_letter_a, foam_letter_u, foam_letter_y, soda_can, screwdriver and small_screwdriver"
         ),
     };
-    Ok(ObjectSpec { name: name.to_owned(), mesh, mass_kg, friction: None, max_force_n: None, up })
+    let spec =
+        ObjectSpec { name: name.to_owned(), mesh, mass_kg, friction: None, max_force_n: None, damaged_at_n: None, up };
+    Ok(match FRAGILE.iter().find(|(fragile, ..)| *fragile == name) {
+        Some(&(_, limit_n, mass_kg)) => {
+            ObjectSpec { mass_kg, friction: Some(FRAGILE_FRICTION), damaged_at_n: Some(limit_n), ..spec }
+        }
+        None => spec,
+    })
 }
 
 impl ObjectSpec {
@@ -194,7 +235,8 @@ fn screwdriver(size: f64) -> TriMesh {
     lathe(&profile.map(|p| p.map(|v| v * size)))
 }
 
-/// A list of objects: `[[object]]` with `name`, `mesh`, `mass_kg` and perhaps `friction`, `max_force_n`, `up`, `unit`.
+/// A list of objects: `[[object]]` with `name`, `mesh`, `mass_kg` and perhaps `friction`, `max_force_n`, `damaged_at_n`, `up`,
+/// `unit`.
 #[derive(Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct List {
@@ -210,6 +252,7 @@ struct Entry {
     mass_kg: f64,
     friction: Option<f64>,
     max_force_n: Option<f64>,
+    damaged_at_n: Option<f64>,
     up: Option<[f64; 3]>,
     unit: Option<String>,
 }
@@ -247,7 +290,12 @@ impl Entry {
                 self.mass_kg
             );
         }
-        for (key, value, most) in [("friction", self.friction, 5.0), ("max_force_n", self.max_force_n, 1e4)] {
+        let limits = [
+            ("friction", self.friction, 5.0),
+            ("max_force_n", self.max_force_n, 1e4),
+            ("damaged_at_n", self.damaged_at_n, 1e4),
+        ];
+        for (key, value, most) in limits {
             if value.is_some_and(|v| !(v > 0.0 && v <= most)) {
                 bail!("{key} = {} is out of range: give more than 0 and at most {most}", value.unwrap_or(f64::NAN));
             }
@@ -264,6 +312,7 @@ impl Entry {
             mass_kg: self.mass_kg,
             friction: self.friction,
             max_force_n: self.max_force_n,
+            damaged_at_n: self.damaged_at_n,
             up: up.or(Some(Vector3::z())),
         })
     }
@@ -279,6 +328,7 @@ mod tests {
     #[test]
     fn made_objects_are_closed_and_of_the_sizes_told() {
         let all = ["letter_u", "letter_y", "screwdriver", "small_screwdriver"].map(|n| named(n).unwrap());
+        let all = all.into_iter().chain(fragile().unwrap());
         let sizes = [
             ("letter_a", [0.089, 0.0972, 0.045]),
             ("letter_u", [0.080, 0.090, 0.045]),
@@ -296,6 +346,19 @@ mod tests {
             }
         }
         assert!(named("teapot").unwrap_err().to_string().contains("light_bulb"));
+    }
+
+    #[test]
+    fn the_limit_of_a_fragile_thing_is_between_the_force_for_its_mass_and_that_for_half_as_much_again() {
+        for spec in fragile().unwrap() {
+            let (limit_n, weight_n) = (spec.damaged_at_n.unwrap(), spec.mass_kg * 9.81);
+            // What the grip-force policy asks of an even pinch.
+            let per_weight = 1.25 * 1.5 / (0.9 * FRAGILE_FRICTION);
+            let pressed = |factor: f64| weight_n * (factor * 0.5 * per_weight + 0.5);
+            assert!(spec.max_force_n.is_none() && pressed(1.0) < limit_n && limit_n < pressed(1.5), "{}", spec.name);
+            let kg = damaged_by_half_as_much_again(limit_n, per_weight);
+            assert!((spec.mass_kg - kg).abs() < 6e-4, "{}: {kg}", spec.name);
+        }
     }
 
     #[test]

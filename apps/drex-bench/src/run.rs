@@ -15,6 +15,7 @@ use drex_policy::TrainOptions;
 use drex_policy::proposal::{GraspedObject, HandCard, ProposalNetwork, ProposalOptions, train};
 use drex_report::picture::clip::{self, Posed};
 use drex_retarget::TargetHand;
+use drex_robot::Robot;
 use drex_trial::{Engine, TrialEvaluator, TrialOptions};
 use drex_twin::learn::POINTS;
 use drex_twin::timings::{self, Timing};
@@ -31,6 +32,7 @@ use crate::many::{self, Category, DataOptions, UnseenOptions, UnseenRow, at_rest
 use crate::object::BenchObject;
 use crate::objects::{self, ObjectSpec};
 use crate::table::Table;
+use crate::tables;
 
 /// Hands that the search between opposite points looks at, for each demonstration.
 const CANDIDATES_PER_CLIP: usize = 20_000;
@@ -44,7 +46,11 @@ pub fn run(command: &Command, seed: u64, output: Output) -> Result<()> {
         Command::Twins(args) => twins(args, seed, output),
         Command::GraspData(args) => grasp_data(args, seed, output),
         Command::GraspTrain(args) => grasp_train(args, seed, output),
-        Command::Unseen(args) => unseen(args, seed, output),
+        Command::Unseen(args) => {
+            let rows = unseen(args, seed)?;
+            output.answer(&rows, rows.iter().map(UnseenRow::text).collect::<Vec<_>>().join("\n"))
+        }
+        Command::Tables(args) => tables::tables(args, seed, output),
     }
 }
 
@@ -236,13 +242,18 @@ fn grasped_objects(folder: &Path) -> Result<Vec<GraspedObject>> {
     files.iter().map(read).collect()
 }
 
-fn unseen(args: &UnseenArgs, seed: u64, output: Output) -> Result<()> {
+/// The rows of `bench unseen`.
+pub fn unseen(args: &UnseenArgs, seed: u64) -> Result<Vec<UnseenRow>> {
     let hand = Arc::new(TargetHand::resolve(&args.hand)?.robot);
-    let network = ProposalNetwork::load(&args.network)?;
+    let network = match &args.network {
+        Some(file) => ProposalNetwork::load(file)?,
+        None => ProposalNetwork::bundled(&hand.name).with_context(|| {
+            format!("no network ships for {}: train one (grasp-train) and give it (--network)", hand.name)
+        })?,
+    };
     let &UnseenArgs { first, count, rollouts, search, engine, .. } = args;
     let options = UnseenOptions { first, count, rollouts, search, engine: engine.into(), seed };
-    let rows = many::unseen(&network, &hand, &options, &|line| eprintln!("{line}"))?;
-    output.answer(&rows, rows.iter().map(UnseenRow::text).collect::<Vec<_>>().join("\n"))
+    many::unseen(&network, &hand, &options, &|line| eprintln!("{line}"))
 }
 
 /// One line of `bench demos`.
@@ -386,8 +397,8 @@ struct Timed<'a> {
     seconds: f64,
 }
 
-fn grasp(args: &GraspArgs, seed: u64, output: Output) -> Result<()> {
-    let start = Instant::now();
+/// The table of `bench grasp`, and the hand that it is of.
+pub fn grasp_table(args: &GraspArgs, seed: u64) -> Result<(Table, Arc<Robot>)> {
     let common = &args.common;
     let mut hand = TargetHand::resolve(&common.hand)?;
     // Before minutes of practice.
@@ -398,8 +409,6 @@ fn grasp(args: &GraspArgs, seed: u64, output: Output) -> Result<()> {
     };
     let engine = Engine::from(args.engine);
     engine.check()?;
-    let experiment = args.experiment.to_possible_value().context("the experiment has no name")?;
-    let name = experiment.get_name();
     let robot = Arc::new(hand.robot.clone());
     let mut options = TrialOptions::default();
     options.law = options.law.with_margin(args.margin);
@@ -421,14 +430,21 @@ fn grasp(args: &GraspArgs, seed: u64, output: Output) -> Result<()> {
         out: common.out.clone(),
         note: &|text| eprintln!("{text}"),
     };
-    let table = bench.run(args.experiment, given.as_deref())?;
+    Ok((bench.run(args.experiment, given.as_deref())?, robot))
+}
+
+fn grasp(args: &GraspArgs, seed: u64, output: Output) -> Result<()> {
+    let start = Instant::now();
+    let experiment = args.experiment.to_possible_value().context("the experiment has no name")?;
+    let (name, common) = (experiment.get_name(), &args.common);
+    let (table, robot) = grasp_table(args, seed)?;
     if let Some(out) = &common.out {
         table.write(out, name)?;
     }
     let answer = BenchAnswer {
         experiment: name,
-        hand: &hand.robot.name,
-        judge: engine,
+        hand: &robot.name,
+        judge: args.engine.into(),
         rollouts: args.rollouts,
         seed,
         torque_limits_nm: robot.effort_limits()?,

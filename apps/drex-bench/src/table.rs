@@ -1,6 +1,6 @@
 //! Tables of an experiment: as text, CSV and a plot.
 
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 
 use anyhow::Result;
@@ -34,10 +34,10 @@ impl Row {
     /// The row as a line of text.
     pub fn text(&self) -> String {
         let labels: Vec<String> = self.labels.iter().map(|(k, v)| format!("{k} {v}")).collect();
-        let failures: Vec<String> = self.failures.iter().map(|(k, n)| format!("{k} {n}")).collect();
+        let refused = counted(&self.refusals);
         let percent = |v: f64| 100.0 * v;
         format!(
-            "{:52} {:4}/{:<4} {:5.1} % [{:4.1}, {:5.1}]  bound {:5.1} %  {}{}{}{}",
+            "{:52} {:4}/{:<4} {:5.1} % [{:4.1}, {:5.1}]  bound {:5.1} %  {}{}{}{}{}",
             labels.join(", "),
             self.successes,
             self.n,
@@ -47,7 +47,8 @@ impl Row {
             percent(self.bound),
             self.median_grip_force_n.map_or(String::new(), |n| format!("{n:5.1} N told, ")),
             self.median_delivered_n.map_or(String::new(), |n| format!("{n:.1} N held  ")),
-            failures.join(", "),
+            if refused.is_empty() { refused } else { format!("no command: {refused}  ") },
+            counted(&self.failures),
             self.agreement.as_ref().map_or(String::new(), |a| {
                 let others: Vec<String> = a.disagreements.iter().map(|(k, n)| format!("; {k} {n}")).collect();
                 format!("  engines agree {}/{}{}", a.same, a.n, others.concat())
@@ -77,12 +78,14 @@ impl Table {
         let keys: BTreeSet<&str> = self.rows.iter().flat_map(|r| r.labels.keys().copied()).collect();
         let keys: Vec<&str> = keys.into_iter().collect();
         let mut csv =
-            keys.join(",") + ",successes,n,rate,low,high,bound,median_squeeze_n,median_delivered_n,failures\n";
+            keys.join(",") + ",successes,n,rate,low,high,bound,median_squeeze_n,median_delivered_n,failures,refusals\n";
         for r in &self.rows {
             let labels: Vec<String> = keys.iter().map(|k| quoted(r.labels.get(k).map_or("", |v| v))).collect();
-            let failures: Vec<String> = r.failures.iter().map(|(k, n)| format!("{k}:{n}")).collect();
+            let list = |counts: &BTreeMap<String, usize>| {
+                counts.iter().map(|(k, n)| format!("{k}:{n}")).collect::<Vec<_>>().join(" ")
+            };
             csv += &format!(
-                "{},{},{},{},{},{},{},{},{},{}\n",
+                "{},{},{},{},{},{},{},{},{},{},{}\n",
                 labels.join(","),
                 r.successes,
                 r.n,
@@ -92,10 +95,47 @@ impl Table {
                 r.bound,
                 r.median_grip_force_n.map_or(String::new(), |n| n.to_string()),
                 r.median_delivered_n.map_or(String::new(), |n| n.to_string()),
-                failures.join(" ")
+                list(&r.failures),
+                list(&r.refusals)
             );
         }
         csv
+    }
+
+    /// A table of Markdown, then what it comes to, then what has to be known to read it.
+    pub fn markdown(&self) -> String {
+        let keys: BTreeSet<&str> = self.rows.iter().flat_map(|r| r.labels.keys().copied()).collect();
+        let compared = self.rows.iter().any(|r| r.agreement.is_some());
+        let mut columns: Vec<&str> = keys.iter().copied().collect();
+        columns.extend(["held", "95 %", "no command", "failed", "grip force assumed / delivered", "bound"]);
+        columns.extend(compared.then_some("engines agree"));
+        let mut lines = vec![markdown_line(&columns), format!("|{}", "---|".repeat(columns.len()))];
+        for r in &self.rows {
+            let mut cells: Vec<String> = keys.iter().map(|k| r.labels.get(k).cloned().unwrap_or_default()).collect();
+            let newtons = |n: Option<f64>| n.map_or("-".to_owned(), |n| format!("{n:.1}"));
+            cells.extend([
+                format!("{} of {}", r.successes, r.n),
+                format!("{} to {} %", percent(r.interval.low), percent(r.interval.high)),
+                counted(&r.refusals),
+                counted(&r.failures),
+                format!("{} / {} N", newtons(r.median_grip_force_n), newtons(r.median_delivered_n)),
+                format!("{} %", percent(r.bound)),
+            ]);
+            cells.extend(r.agreement.as_ref().map(|a| format!("{} of {}", a.same, a.n)));
+            lines.push(markdown_line(&cells));
+        }
+        let mut text = lines.join("\n") + "\n";
+        if !self.comparisons.is_empty() {
+            text += "\n| difference | points | 95 % |\n|---|---|---|\n";
+            for Comparison { what, difference: d } in &self.comparisons {
+                let [value, low, high] = [d.value, d.low, d.high].map(|v| format!("{:+.1}", 100.0 * v));
+                text += &format!("| {what} | {value} | {low} to {high} |\n");
+            }
+        }
+        for note in &self.notes {
+            text += &format!("\n- {note}");
+        }
+        text + "\n"
     }
 
     /// A bar per row: the rate with its interval, and the bound as a tick. Colours follow the page.
@@ -152,6 +192,23 @@ impl Table {
         fsutil::write_atomic(&out.join(format!("{name}.txt")), (self.text() + "\n").as_bytes())?;
         Ok(())
     }
+}
+
+/// A row of a table of Markdown.
+pub fn markdown_line(cells: &[impl AsRef<str>]) -> String {
+    cells.iter().fold("|".to_owned(), |line, cell| format!("{line} {} |", cell.as_ref().replace('|', "/")))
+}
+
+/// Counts by name, the most frequent first.
+pub fn counted(counts: &BTreeMap<String, usize>) -> String {
+    let mut counts: Vec<(&String, &usize)> = counts.iter().collect();
+    counts.sort_by(|a, b| b.1.cmp(a.1));
+    counts.iter().map(|(name, n)| format!("{n} {}", name.replace('_', " "))).collect::<Vec<_>>().join(", ")
+}
+
+/// A share with one digit, as per cent.
+pub fn percent(share: f64) -> String {
+    format!("{:.1}", 100.0 * share)
 }
 
 /// A field of a CSV file.

@@ -58,9 +58,8 @@ pub(crate) fn plan_closing(pair: &HandAndObject, grasp: &Grasp, assumed: &Assume
     let joints = grasp.joints_of(&pair.hand)?;
     let (world_from_base, reach) = reached(pair, &joints, &grasp.object_from_base);
     let truth = Truth::as_assumed(assumed, 0);
-    let (mut simulation, drives) =
-        pair.simulation(&world_from_base, &reach, &truth, timeline::CLOSED_S, Engine::Diffsim)?;
-    let mut controller = Controller::new(&pair.hand, &drives, &reach, &[], &[], &pair.effort_nm);
+    let mut simulation = pair.simulation(&world_from_base, &reach, &truth, timeline::CLOSED_S, Engine::Diffsim)?;
+    let mut controller = Controller::new(&pair.hand, &pair.drives, &reach, &[], &[], &pair.effort_nm);
     let tick_s = pair.options.dt_s * STEPS_PER_TICK as f64;
     let mut table_n = 0.0_f64;
     let mut close = || {

@@ -7,7 +7,7 @@ use drex_diffsim::{
     ActuatorKind, Articulation, Base, Body, Collider, ContactForce, Control, Model, Part, Path, Scene, State,
     Workspace, step,
 };
-use drex_robot::Robot;
+use drex_robot::{Actuator, ActuatorKind as DriveKind, Robot};
 use nalgebra::Vector3;
 
 use serde::{Deserialize, Serialize};
@@ -97,6 +97,7 @@ pub(crate) enum Simulation {
 /// What an engine is made of.
 pub(crate) struct Setup<'a> {
     pub hand: &'a Arc<Robot>,
+    pub drives: &'a [Drive],
     pub object: &'a Object,
     pub collider: &'a Arc<Collider>,
     /// True pose of the object at the start.
@@ -110,36 +111,44 @@ pub(crate) struct Setup<'a> {
     pub dt_s: f64,
 }
 
-/// The hand's drives as position drives within the joints' largest torques, and their numbers.
-fn hand_of(
-    hand: &Arc<Robot>,
-    base: Base<f64>,
-    effort_nm: &[f64],
-    friction: f64,
-) -> Result<(Articulation<f64>, Vec<Drive>)> {
+/// The hand's drives as position drives within the joints' largest torques.
+fn hand_of(hand: &Arc<Robot>, base: Base<f64>, effort_nm: &[f64], friction: f64) -> Result<Articulation<f64>> {
     let mut arm = Articulation::new(Arc::clone(hand), base)?.with_friction(friction);
-    let mut drives = Vec::new();
-    for drive in &mut arm.actuators {
-        let (kp, kv) = match drive.kind {
-            ActuatorKind::Position { kp, kv } if kp > 0.0 => (kp, kv),
-            _ => (STIFFNESS, DAMPING),
-        };
+    for (drive, given) in arm.actuators.iter_mut().zip(&hand.actuators) {
+        let (kp, kv) = gains(given);
         drive.kind = ActuatorKind::Position { kp, kv };
-        let gear = if drive.gear == 0.0 { 1.0 } else { drive.gear };
-        let cap = effort_nm[drive.joint] / gear.abs();
+        let cap = effort_nm[drive.joint] / gear(given).abs();
         drive.force_range = Some((-cap, cap));
         // Commands lie beyond a joint's end where the grip force needs it; the force range is what bounds them.
         drive.ctrl_range = None;
-        drives.push(Drive { joint: drive.joint, stiffness: kp, gear });
     }
-    Ok((arm, drives))
+    Ok(arm)
+}
+
+/// The numbers of the hand's drives, in the order of their commands.
+pub(crate) fn drives_of(hand: &Robot) -> Vec<Drive> {
+    let drive = |a: &Actuator| Drive { joint: a.joint, stiffness: gains(a).0, gear: gear(a) };
+    hand.actuators.iter().map(drive).collect()
+}
+
+/// Stiffness and damping of a drive that holds a position.
+fn gains(actuator: &Actuator) -> (f64, f64) {
+    match actuator.kind {
+        DriveKind::Position { kp, kv } if kp > 0.0 => (kp, kv),
+        _ => (STIFFNESS, DAMPING),
+    }
+}
+
+/// A ratio that is not given is one.
+fn gear(actuator: &Actuator) -> f64 {
+    if actuator.gear == 0.0 { 1.0 } else { actuator.gear }
 }
 
 impl Simulation {
     /// Everything at rest at time zero.
-    pub fn new(setup: Setup<'_>, engine: Engine) -> Result<(Self, Vec<Drive>)> {
-        let Setup { hand, object, collider, world_from_object, truth, path, joints, effort_nm, dt_s } = setup;
-        let (arm, drives) = hand_of(hand, Base::Path(path), effort_nm, truth.friction)?;
+    pub fn new(setup: Setup<'_>, engine: Engine) -> Result<Self> {
+        let Setup { hand, drives, object, collider, world_from_object, truth, path, joints, effort_nm, dt_s } = setup;
+        let arm = hand_of(hand, Base::Path(path), effort_nm, truth.friction)?;
         let hold: Vec<f64> = drives.iter().map(|d| joints[d.joint] * d.gear).collect();
         let mut state = State::at_rest(world_from_object);
         state.articulations.push(arm.at_rest(joints, 0.0)?);
@@ -148,7 +157,7 @@ impl Simulation {
         model.dt_s = dt_s;
         let mut scene = Scene::on_table(truth.friction);
         scene.controls.push(Control::constant(&hold)?);
-        let simulation = match engine {
+        Ok(match engine {
             Engine::Diffsim => {
                 model.check()?;
                 Self::Diffsim {
@@ -167,8 +176,7 @@ impl Simulation {
             }
             #[cfg(not(feature = "mujoco"))]
             Engine::Mujoco => return Err(Error::NoMujoco),
-        };
-        Ok((simulation, drives))
+        })
     }
 
     /// One step under position commands, one per drive.

@@ -108,6 +108,8 @@ pub struct Evaluation {
     pub grip_force_n: f64,
     /// Grip force that was delivered in the hold, N.
     pub held_n: Option<f64>,
+    /// Largest normal force of one finger in the whole trial, N; zero without a command.
+    pub peak_finger_n: f64,
     /// For each finger whether it touched when the lift began.
     pub fingers: Vec<bool>,
     /// Share of the time from the start of the lift in which at least two fingers held the object.
@@ -126,6 +128,7 @@ impl Evaluation {
             verdict,
             grip_force_n: 0.0,
             held_n: None,
+            peak_finger_n: 0.0,
             fingers: Vec::new(),
             retained: 0.0,
             friction_used: None,
@@ -241,6 +244,12 @@ impl TrialEvaluator {
         Ok(Self { trial: Trial::new(robot.clone(), object.clone(), options.clone())?, engine })
     }
 
+    /// Evaluation of what is planned for one hand and object with another, as [`Trial::with_plant`]: by [`Evaluator::evaluate`] and
+    /// [`Evaluator::validate`] alike.
+    pub fn with_plant(self, plant: Trial) -> Self {
+        Self { trial: self.trial.with_plant(plant), ..self }
+    }
+
     /// The hand and the object.
     pub fn trial(&self) -> &Trial {
         &self.trial
@@ -262,6 +271,7 @@ impl From<Outcome> for Evaluation {
             verdict: outcome.verdict,
             grip_force_n: outcome.grip_force_n,
             held_n: outcome.held_n,
+            peak_finger_n: outcome.peak_finger_n,
             fingers: outcome.fingers_in_contact,
             retained: outcome.retained,
             friction_used: outcome.friction_used,

@@ -8,7 +8,7 @@ use drex_grasp::HandSurface;
 use drex_robot::Robot;
 use nalgebra::{Translation3, UnitQuaternion, Vector3};
 
-use crate::engine::{Drive, Setup, Simulation};
+use crate::engine::{Drive, Setup, Simulation, drives_of};
 use crate::reach::Reach;
 use crate::{Engine, Result, TrialOptions, Truth, timeline};
 
@@ -20,6 +20,7 @@ pub(crate) const STEPS_PER_TICK: usize = 2;
 /// What closings and trials of one hand with one object share.
 pub(crate) struct HandAndObject {
     pub hand: Arc<Robot>,
+    pub drives: Vec<Drive>,
     pub surface: HandSurface,
     pub object: Object,
     collider: Arc<Collider>,
@@ -35,7 +36,8 @@ impl HandAndObject {
         let collider = Collider::of_parts(&object.convex_parts)?;
         let effort_nm = hand.effort_limits()?;
         let surface = HandSurface::new(&hand, SPACING_M)?;
-        Ok(Self { hand, surface, object, collider: Arc::new(collider), options, effort_nm })
+        let drives = drives_of(&hand);
+        Ok(Self { hand, drives, surface, object, collider: Arc::new(collider), options, effort_nm })
     }
 
     /// Everything at the start of a command, with the palm's path until `last_s`.
@@ -46,11 +48,12 @@ impl HandAndObject {
         truth: &Truth,
         last_s: f64,
         engine: Engine,
-    ) -> Result<(Simulation, Vec<Drive>)> {
+    ) -> Result<Simulation> {
         let TrialOptions { shake_m_s2, dt_s, .. } = self.options;
         let path = timeline::palm_path(world_from_base, &reach.retreat, shake_m_s2, truth.seed, last_s, dt_s)?;
         let setup = Setup {
             hand: &self.hand,
+            drives: &self.drives,
             object: &self.object,
             collider: &self.collider,
             world_from_object: self.true_pose(truth),

@@ -1,5 +1,6 @@
 //! A hand and an object, and what becomes of a command.
 
+use std::collections::VecDeque;
 use std::sync::Arc;
 
 use drex_core::{Object, Pose};
@@ -32,8 +33,8 @@ pub struct Frame {
     pub finger_n: Vec<f64>,
 }
 
-/// A hand and an object, ready for trials.
-pub struct Trial(HandAndObject);
+/// A hand and an object, ready for trials: as the hand knows them, and as they are where that differs.
+pub struct Trial(HandAndObject, Option<HandAndObject>);
 
 impl Trial {
     /// Prepares trials of `hand` with `object`.
@@ -42,7 +43,13 @@ impl Trial {
     /// If the hand has no collision shapes, its model does not say what its motors give ([`Robot::effort_limits`]), or an option is
     /// out of range.
     pub fn new(hand: Arc<Robot>, object: Object, options: TrialOptions) -> Result<Self> {
-        HandAndObject::new(hand, object, options).map(Self)
+        Ok(Self(HandAndObject::new(hand, object, options)?, None))
+    }
+
+    /// Trials whose commands, planned for the hand and the object as they are known, are carried out by another hand on another object: those of
+    /// `plant`, with its options. The controller goes on to reckon with the friction and the gains of the hand that is known.
+    pub fn with_plant(self, plant: Self) -> Self {
+        Self(self.0, Some(plant.0))
     }
 
     /// The hand.
@@ -171,16 +178,25 @@ impl Trial {
         seen: &mut dyn FnMut(f64, &Simulation, &Watch<'_>) -> bool,
     ) -> Result<Outcome> {
         truth.check()?;
-        let (mut simulation, drives) =
-            self.0.simulation(&command.world_from_base, &command.reach, truth, timeline::SHAKEN_S, engine)?;
+        // What the hand knows of itself, and what is there.
+        let (own, plant) = (&self.0, self.1.as_ref().unwrap_or(&self.0));
+        let mut simulation =
+            plant.simulation(&command.world_from_base, &command.reach, truth, timeline::SHAKEN_S, engine)?;
         let Command { reach, contact_forces, limits_nm, .. } = command;
-        let mut controller =
-            Controller::new(&self.0.hand, &drives, reach, contact_forces, limits_nm, &self.0.effort_nm);
-        let tick_s = self.0.options.dt_s * STEPS_PER_TICK as f64;
-        let mut watch = Watch::new(&self.0.surface, self.0.object.max_finger_n, command.grip_force_n, tick_s);
+        let mut controller = Controller::new(&own.hand, &own.drives, reach, contact_forces, limits_nm, &own.effort_nm);
+        let tick_s = plant.options.dt_s * STEPS_PER_TICK as f64;
+        let mut watch = Watch::new(&plant.surface, plant.object.max_finger_n, command.grip_force_n, tick_s);
         let ticks = (timeline::SHAKEN_S / tick_s).round() as usize;
+        let late = (plant.options.latency_s / tick_s).round() as usize;
+        let mut under_way: VecDeque<Vec<f64>> = VecDeque::with_capacity(late + 1);
         for i in 0..ticks {
-            let commands = controller.command(i as f64 * tick_s, &simulation);
+            let newest = controller.command(i as f64 * tick_s, &simulation);
+            if under_way.is_empty() {
+                // At rest before the start, the first command has been there for long.
+                under_way.extend(std::iter::repeat_n(newest.clone(), late));
+            }
+            under_way.push_back(newest);
+            let commands = under_way.pop_front().unwrap_or_default();
             for _ in 0..STEPS_PER_TICK {
                 match simulation.step(&commands) {
                     Ok(()) => {}

@@ -3,9 +3,12 @@
 
 mod support;
 
+use std::sync::Arc;
+
 use drex_core::Pose;
 use drex_grasp::Grasp;
-use drex_trial::{Assumed, Engine, GripForce, NoCommand, Truth, Verdict};
+use drex_robot::ActuatorKind;
+use drex_trial::{Assumed, Engine, GripForce, NoCommand, Trial, TrialOptions, Truth, Verdict};
 use rayon::prelude::*;
 use support::{grasps, trial_of};
 
@@ -93,6 +96,35 @@ fn a_film_shows_the_run_and_does_not_change_it() {
     assert!(frames[0].finger_n.iter().all(|n| *n == 0.0), "{:?}", frames[0].finger_n);
     let refused = trial.record(&command, &truth, Engine::Diffsim, f64::NAN).unwrap_err();
     assert!(refused.to_string().contains("NaN"), "{refused}");
+}
+
+#[test]
+fn a_command_is_carried_out_by_the_hand_that_is_there() {
+    let known = || trial_of(|_, _| {});
+    let found = grasps();
+    let command = known().command(&found[0], &ASSUMED, GripForce::Required).unwrap().unwrap();
+    let truth = Truth::as_assumed(&ASSUMED, 1);
+    let outcome = |plant| known().with_plant(plant).run(&command, &truth, Engine::Diffsim).unwrap();
+    let same = known().run(&command, &truth, Engine::Diffsim).unwrap();
+    assert!(same.succeeded(), "{same:?}");
+    assert_eq!(outcome(known()), same);
+    // Commands are angles: drives of half the stiffness press with half of what is meant.
+    let mut weak = (**known().hand()).clone();
+    for a in &mut weak.actuators {
+        let ActuatorKind::Position { kp, .. } = &mut a.kind else { panic!("{}", a.name) };
+        *kp *= 0.5;
+    }
+    let object = known().object().clone();
+    let weak = outcome(Trial::new(Arc::new(weak), object.clone(), TrialOptions::default()).unwrap());
+    assert!(matches!(weak.verdict, Verdict::Slip | Verdict::Drop), "{weak:?}");
+    let late = |latency_s: f64| {
+        let mut options = TrialOptions::default();
+        options.latency_s = latency_s;
+        Trial::new(known().hand().clone(), object.clone(), options)
+    };
+    assert_eq!(outcome(late(0.0).unwrap()), same);
+    assert_ne!(outcome(late(0.02).unwrap()), same);
+    assert!(late(-0.01).err().unwrap().to_string().contains("latency_s is -0.01"));
 }
 
 #[test]

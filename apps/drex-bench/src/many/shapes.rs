@@ -66,7 +66,7 @@ pub fn graspable(categories: &[Category], seed: u64, number: u64) -> Result<Obje
     let mass_kg = Draw(&mut random).in_log(MASS_KG).clamp(DENSITY_KG_M3[0] * volume_m3, DENSITY_KG_M3[1] * volume_m3);
     let mass_kg = mass_kg.clamp(MASS_KG[0], MASS_KG[1]);
     let name = format!("{}_{number:04}", category.name());
-    Ok(ObjectSpec { name, mesh, mass_kg, friction: None, max_force_n: None, up: None })
+    Ok(ObjectSpec { name, mesh, mass_kg, friction: None, max_force_n: None, damaged_at_n: None, up: None })
 }
 
 /// Draws lengths.

@@ -13,7 +13,7 @@ use drex_policy::Query;
 use drex_policy::proposal::ProposalNetwork;
 use drex_robot::Robot;
 use drex_trial::{
-    Assumed, Condition, ConditionSpread, Engine, Evaluator as _, GripForce, Interval, Proposal, TrialEvaluator,
+    Assumed, Condition, ConditionSpread, Engine, Evaluator as _, GripForce, Interval, Proposal, Trial, TrialEvaluator,
     TrialOptions, clustered, clustered_difference,
 };
 use drex_twin::propose::proposals;
@@ -24,8 +24,11 @@ use rayon::prelude::*;
 use serde::Serialize;
 
 use super::data::cloud;
+use super::plant::{disturbed, late, off_centre, scanned};
 use super::{Category, at_rest, graspable};
 use crate::cell::{Actor, AssumedFriction, AssumedMass, Cell, Row, Setting};
+use crate::objects::ObjectSpec;
+use crate::table::{counted, markdown_line, percent};
 
 /// Grasps that go through the path, at most.
 const PLACED: usize = 10;
@@ -68,17 +71,20 @@ enum Way {
     Noisy,
     /// All of it, but nobody knows the friction.
     UnknownFriction,
+    /// All of a scan of it, and a hand that is another than its model says: see `plant`.
+    Plant,
     /// A search with so many hundredths of the effort.
     Search(usize),
 }
 
-const WAYS: [Way; 8] = [
+const WAYS: [Way; 9] = [
     Way::Network(1),
     Way::Network(PLACED),
     Way::Turned,
     Way::OneView,
     Way::Noisy,
     Way::UnknownFriction,
+    Way::Plant,
     Way::Search(10),
     Way::Search(100),
 ];
@@ -95,6 +101,7 @@ impl Way {
             Self::OneView => "network, one view".into(),
             Self::Noisy => "network, noisy view".into(),
             Self::UnknownFriction => "network, friction unknown".into(),
+            Self::Plant => "network, from a scan, hand off".into(),
             Self::Search(100) => "search".into(),
             Self::Search(hundredths) => format!("search, {hundredths} % of it"),
         }
@@ -113,10 +120,10 @@ pub struct UnseenRow {
     pub interval: Interval,
     /// The rate less that of the network's first ten under the same conditions, 95 %, clustered by object.
     pub difference: Interval,
-    /// Rollouts without a command.
-    pub refused: usize,
-    /// How often each rule was broken first, refusals among them.
+    /// How often each rule was broken first, of what was carried out.
     pub failures: BTreeMap<String, usize>,
+    /// Why there was no command, and how often.
+    pub refusals: BTreeMap<String, usize>,
     /// Grasps that go through the path per rollout, mean.
     pub candidates: f64,
     /// Time of the network, and to place what it proposes, ms per rollout; of a search, which is made once for each object, all of it.
@@ -151,7 +158,7 @@ pub fn unseen(
         let conditions = ConditionSpread::default().conditions(options.rollouts, seed);
         let mut line = format!("{:14} {:4.0} g", spec.name, 1e3 * spec.mass_kg);
         for (way, rows) in WAYS.into_iter().zip(&mut all) {
-            let (row, tally) = one(network, hand, &object, way, &conditions, options, seed)?;
+            let (row, tally) = one(network, hand, (&spec, &object), way, &conditions, options, seed)?;
             line += &format!("  {:2}", row.successes);
             rows.push((row, tally));
         }
@@ -165,12 +172,13 @@ fn summary(way: Way, rows: &[(Row, Tally)], reference: &[(Row, Tally)]) -> Unsee
     let groups: Vec<(usize, usize)> = rows.iter().map(|(r, _)| (r.successes, r.n)).collect();
     let both: Vec<(usize, usize, usize)> =
         rows.iter().zip(reference).map(|((a, _), (b, _))| (a.successes, b.successes, a.n)).collect();
-    let refusals = ["cannot_carry", "torque_limit", "crushed"];
-    let refused = |r: &Row| refusals.iter().filter_map(|f| r.failures.get(*f)).sum::<usize>();
-    let mut failures = BTreeMap::new();
-    for (name, n) in rows.iter().flat_map(|(r, _)| &r.failures) {
-        *failures.entry(name.clone()).or_insert(0) += n;
-    }
+    let counts = |of: fn(&Row) -> &BTreeMap<String, usize>| {
+        let mut sum = BTreeMap::new();
+        for (name, n) in rows.iter().flat_map(|(r, _)| of(r)) {
+            *sum.entry(name.clone()).or_insert(0) += n;
+        }
+        sum
+    };
     let mean = |of: &dyn Fn(&Tally) -> f64| {
         let asked: usize = rows.iter().map(|(_, t)| t.asked).sum();
         rows.iter().map(|(_, t)| of(t)).sum::<f64>() / asked.max(1) as f64
@@ -181,8 +189,8 @@ fn summary(way: Way, rows: &[(Row, Tally)], reference: &[(Row, Tally)]) -> Unsee
         n: groups.iter().map(|g| g.1).sum(),
         interval: clustered(&groups),
         difference: clustered_difference(&both),
-        refused: rows.iter().map(|(r, _)| refused(r)).sum(),
-        failures,
+        refusals: counts(|r| &r.refusals),
+        failures: counts(|r| &r.failures),
         candidates: mean(&|t| t.placed as f64),
         propose_ms: 1e3 * mean(&|t| t.propose_s),
         place_ms: 1e3 * mean(&|t| t.place_s),
@@ -192,15 +200,19 @@ fn summary(way: Way, rows: &[(Row, Tally)], reference: &[(Row, Tally)]) -> Unsee
 fn one(
     network: &ProposalNetwork,
     hand: &Arc<Robot>,
-    object: &Object,
+    (spec, object): (&ObjectSpec, &Object),
     way: Way,
     conditions: &[Condition],
     options: &UnseenOptions,
     seed: u64,
 ) -> Result<(Row, Tally)> {
     let turned = object.clone().with_rest_pose(Pose::rotation(Vector3::z() * 2.0) * object.world_from_object);
-    let object = if way == Way::Turned { &turned } else { object };
-    let evaluator = TrialEvaluator::new(object, hand, &TrialOptions::default(), options.engine)?;
+    let scan = if way == Way::Plant { Some(scanned(spec, object, seed)?) } else { None };
+    let (object, truth) = (if way == Way::Turned { &turned } else { scan.as_ref().unwrap_or(object) }, object);
+    let mut evaluator = TrialEvaluator::new(object, hand, &TrialOptions::default(), options.engine)?;
+    if way == Way::Plant {
+        evaluator = evaluator.with_plant(Trial::new(disturbed(hand, seed), off_centre(truth, seed), late())?);
+    }
     let closing = FingerClosing::new(hand)?;
     let tally = Mutex::new(Tally::default());
     let count = |of: &dyn Fn(&mut Tally)| tally.lock().map(|mut t| of(&mut t)).unwrap_or_default();
@@ -227,7 +239,7 @@ fn one(
     };
     let actor = match way {
         Way::Network(most) => Actor::Asked(Box::new(move |a| propose(a, most))),
-        Way::Turned | Way::OneView | Way::Noisy | Way::UnknownFriction => {
+        Way::Turned | Way::OneView | Way::Noisy | Way::UnknownFriction | Way::Plant => {
             Actor::Asked(Box::new(move |a| propose(a, PLACED)))
         }
         Way::Search(hundredths) => {
@@ -251,6 +263,7 @@ fn one(
         evaluator: &evaluator,
         actor: &actor,
         setting,
+        damaged_at_n: None,
         least_friction: None,
         compare: false,
     };
@@ -308,19 +321,41 @@ fn searched(
 impl UnseenRow {
     /// A line for people.
     pub fn text(&self) -> String {
-        let Self { way, successes, n, interval, difference, refused, failures, candidates, propose_ms, place_ms } =
-            self;
-        let failures: Vec<String> = failures.iter().map(|(name, n)| format!("{n} {name}")).collect();
+        let Self { way, successes, n, interval, difference, candidates, propose_ms, place_ms, .. } = self;
         format!(
-            "{way:24} {successes:4} of {n:4}  {:5.1} % ({:.1} to {:.1})  {:+.1} ({:+.1} to {:+.1})  refused {refused:4}  {candidates:4.1} candidates  \
-             {propose_ms:8.1} ms + {place_ms:6.1} ms  {}",
+            "{way:24} {successes:4} of {n:4}  {:5.1} % ({:.1} to {:.1})  {:+.1} ({:+.1} to {:+.1})  {candidates:4.1} candidates  \
+             {propose_ms:8.1} ms + {place_ms:6.1} ms  no command: {}  {}",
             100.0 * interval.value,
             100.0 * interval.low,
             100.0 * interval.high,
             100.0 * difference.value,
             100.0 * difference.low,
             100.0 * difference.high,
-            failures.join(", "),
+            counted(&self.refusals),
+            counted(&self.failures),
         )
+    }
+
+    /// A table of Markdown.
+    pub fn markdown(rows: &[Self]) -> String {
+        let columns =
+            ["who proposes", "held", "95 %", "points apart", "95 %", "candidates", "ms", "no command", "failed"];
+        let mut lines = vec![markdown_line(&columns), format!("|{}", "---|".repeat(columns.len()))];
+        for (i, r) in rows.iter().enumerate() {
+            let Interval { value, low, high } = r.difference;
+            let apart = |share: f64| format!("{:+.1}", 100.0 * share);
+            lines.push(markdown_line(&[
+                r.way.clone(),
+                format!("{} of {}, {} %", r.successes, r.n, percent(r.interval.value)),
+                format!("{} to {} %", percent(r.interval.low), percent(r.interval.high)),
+                if i == REFERENCE { String::new() } else { apart(value) },
+                if i == REFERENCE { String::new() } else { format!("{} to {}", apart(low), apart(high)) },
+                format!("{:.1}", r.candidates),
+                format!("{:.1} + {:.1}", r.propose_ms, r.place_ms),
+                counted(&r.refusals),
+                counted(&r.failures),
+            ]));
+        }
+        lines.join("\n") + "\n"
     }
 }

@@ -60,6 +60,8 @@ impl Evaluator for PinchFormula {
             verdict: if holds { Verdict::Success } else { Verdict::Slip },
             grip_force_n: *command,
             held_n: holds.then_some(*command),
+            // Two opposed fingers share the force.
+            peak_finger_n: 0.5 * command,
             fingers: vec![true; 4],
             retained: if holds { 1.0 } else { 0.3 },
             friction_used: holds.then(|| load / carries),
