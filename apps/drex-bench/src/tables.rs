@@ -18,32 +18,32 @@ use crate::run::{grasp_table, unseen};
 const TABLES: [(&str, &str, &str); 8] = [
     (
         "mass-source",
-        "grasp --experiment mass-source --rollouts 200 --clips 10 --practice 60 --epochs 60",
+        "grasp --experiment mass-source --rollouts 100 --clips 10 --practice 60 --epochs 60",
         "What is the mass worth, of things that bear any force and of things that do not?",
     ),
     (
         "objects",
-        "grasp --experiment objects --ablations --rollouts 100 --clips 10 --practice 60 --epochs 60",
+        "grasp --experiment objects --ablations --rollouts 60 --clips 10 --practice 60 --epochs 60",
         "How often do grasps hold, and what is each step of the path worth?",
     ),
     (
         "cross-mass",
-        "grasp --experiment cross-mass --rollouts 200 --clips 10 --practice 60 --epochs 60",
+        "grasp --experiment cross-mass --rollouts 100 --clips 10 --practice 60 --epochs 60",
         "What does the force for one mass do to another?",
     ),
     (
         "baselines",
-        "grasp --experiment baselines --rollouts 200 --clips 10 --practice 60 --epochs 60",
+        "grasp --experiment baselines --rollouts 100 --clips 10 --practice 60 --epochs 60",
         "How do other ways do that have the same hand?",
     ),
     (
         "scaling",
-        "grasp --experiment scaling --rollouts 100 --clips 46 --practice 60 --epochs 60",
+        "grasp --experiment scaling --rollouts 60 --clips 46 --practice 60 --epochs 60",
         "How many demonstrations does it take?",
     ),
     (
         "transfer",
-        "grasp --experiment transfer --rollouts 100 --clips 10 --practice 60 --epochs 60",
+        "grasp --experiment transfer --rollouts 60 --clips 10 --practice 60 --epochs 60",
         "What is worth on a smaller object what was learned on a larger one?",
     ),
     (
