@@ -14,6 +14,8 @@ const HALVINGS: usize = 60;
 pub struct Uncertainty {
     masses_kg: Vec<f64>,
     friction: (f64, f64),
+    /// The mass of the pairs that are assumed.
+    mass_kg: f64,
 }
 
 impl Uncertainty {
@@ -36,17 +38,22 @@ impl Uncertainty {
             check_mass_and_friction(*mass_kg, low)?;
         }
         check_mass_and_friction(masses_kg[0], high)?;
-        Ok(Self { masses_kg, friction })
+        let mass_kg = upper_median(masses_kg.iter().copied()).unwrap_or_default();
+        Ok(Self { masses_kg, friction, mass_kg })
     }
 
-    /// The median of the masses, kg.
-    fn median_kg(&self) -> f64 {
-        upper_median(self.masses_kg.iter().copied()).unwrap_or_default()
+    /// The same, spoken for by another mass than the median, such as the one that everything else is planned for, kg.
+    ///
+    /// # Errors
+    /// For a mass that is none.
+    pub fn spoken_for_by(self, mass_kg: f64) -> Result<Self> {
+        check_mass_and_friction(mass_kg, self.friction.0)?;
+        Ok(Self { mass_kg, ..self })
     }
 
     /// Mass and friction to grip for, so that mass over friction, to which the force of a pinch is in proportion, is higher with the probability
-    /// `risk` alone. Of all pairs with that ratio it is the one with the median of the masses, or, where that would take a friction outside of the
-    /// interval, the one with its end. A `law` takes friction for lower than assumed by its uncertainty; that is in the interval already, so what is to be
+    /// `risk` alone. Of all pairs with that ratio it is the one with the median of the masses (or [`Uncertainty::spoken_for_by`]), or, where that would
+    /// take a friction outside of the interval, the one with its end. A `law` takes friction for lower than assumed by its uncertainty; that is in the interval already, so what is to be
     /// assumed is higher by as much.
     pub fn at_risk(&self, risk: f64, law: &GripForcePolicy) -> Assumed {
         let (low, high) = self.friction;
@@ -60,8 +67,12 @@ impl Uncertainty {
                 false => above = middle,
             }
         }
-        let friction = (self.median_kg() / above).clamp(low, high);
-        Assumed { mass_kg: above * friction, friction: friction / (1.0 - law.friction_uncertainty) }
+        let friction = self.mass_kg / above;
+        let (mass_kg, friction) = match (low..=high).contains(&friction) {
+            true => (self.mass_kg, friction),
+            false => (above * friction.clamp(low, high), friction.clamp(low, high)),
+        };
+        Assumed { mass_kg, friction: friction / (1.0 - law.friction_uncertainty) }
     }
 
     /// What to assume in turn for [`GraspPath::plan_in_turn`](crate::GraspPath::plan_in_turn), with the risk: [`Uncertainty::RISK`], then 10, 20, 35 and 50 %.
@@ -138,6 +149,11 @@ mod tests {
             let more = masses.iter().flat_map(|m| (0..500).map(move |j| m / (low + width * (f64::from(j) + 0.5) / 500.0)));
             let share = more.filter(|r| *r > assumed.mass_kg / assumed.friction).count() as f64 / 1e5;
             prop_assert!((share - risk).abs() < 6e-3, "{share} {risk}");
+            // Whatever mass speaks for it, what is asked for is the same.
+            let other = Uncertainty::new(masses, (low, low + width)).unwrap().spoken_for_by(0.11).unwrap();
+            let other = exact(&other, risk);
+            prop_assert!((other.mass_kg / other.friction / (assumed.mass_kg / assumed.friction) - 1.0).abs() < 1e-9);
+            prop_assert!(other.mass_kg == 0.11 || other.friction == low || other.friction == low + width);
         }
     }
 }

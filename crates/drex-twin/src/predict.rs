@@ -54,6 +54,8 @@ pub struct Predictor {
     pub object: Object,
     /// Lowest and highest friction that is reckoned with; the same number twice where it is known to a tenth.
     pub friction: (f64, f64),
+    /// Masses that are as likely as each other, kg; without any it is the object's.
+    masses_kg: Vec<f64>,
     points: Vec<Point3<f64>>,
 }
 
@@ -137,7 +139,8 @@ impl Predictor {
     pub fn new(policy: GraspPolicy, robot: Robot, object: Object, seed: u64) -> Self {
         let points = object.point_cloud(policy.points(), seed);
         let friction = (object.friction, object.friction);
-        Self { policy, folder: PathBuf::new(), root: PathBuf::new(), robot, object, friction, points }
+        let (folder, root, masses_kg) = (PathBuf::new(), PathBuf::new(), Vec::new());
+        Self { policy, folder, root, robot, object, friction, masses_kg, points }
     }
 
     /// A predictor for the object of a twin, or for a mesh (metres, z up) and the folder of a policy.
@@ -157,16 +160,19 @@ impl Predictor {
     /// As [`Predictor::open`].
     pub fn of_twin(twin: &Twin, options: &PredictOptions) -> Result<Self> {
         let policy = twin.policy()?;
-        let mass_kg = match options.mass_kg {
-            Some(mass) => mass,
-            None => twin.mass()?.grip_kg,
+        let (mass_kg, masses_kg) = match options.mass_kg {
+            Some(mass) => (mass, Vec::new()),
+            None => {
+                let mass = twin.mass()?;
+                (mass.grip_kg, mass.likely_kg())
+            }
         };
         let object = twin.object()?.with_mass(mass_kg);
         let friction = options.friction.unwrap_or_else(|| twin.friction_range());
         let own = twin.manifest.grasps.as_ref();
         let robot = hand(&policy, options, own.map(|g| (g.hand.as_str(), g.torque_cap_nm)), &twin.root)?;
         let (folder, root) = (twin.path(POLICY), twin.root.clone());
-        Ok(Self { folder, root, friction, ..Self::new(policy, robot, placed(object, options), twin.seed) })
+        Ok(Self { folder, root, friction, masses_kg, ..Self::new(policy, robot, placed(object, options), twin.seed) })
     }
 
     fn of_policy(folder: &Path, mesh: Option<&Path>, options: &PredictOptions, seed: u64) -> Result<Self> {
@@ -209,7 +215,7 @@ impl Predictor {
         let turn = planned.turn;
         let mut prediction = self.prediction(planned);
         prediction.risk = risks[turn];
-        prediction.friction = assumed[turn].friction;
+        (prediction.mass_kg, prediction.friction) = (assumed[turn].mass_kg, assumed[turn].friction);
         if prediction.risk.is_some() {
             // The law takes it for lower than assumed: the interval says how much it can be.
             prediction.friction *= 1.0 - GripForcePolicy::default().friction_uncertainty;
@@ -229,7 +235,8 @@ impl Predictor {
         if low == high {
             return Ok(vec![(None, Assumed { mass_kg, friction: low })]);
         }
-        let uncertainty = Uncertainty::new(vec![mass_kg], self.friction)?;
+        let masses_kg = if self.masses_kg.is_empty() { vec![mass_kg] } else { self.masses_kg.clone() };
+        let uncertainty = Uncertainty::new(masses_kg, self.friction)?.spoken_for_by(mass_kg)?;
         Ok(uncertainty.in_turn(&GripForcePolicy::default()).map(|(risk, assumed)| (Some(risk), assumed)).to_vec())
     }
 

@@ -19,6 +19,9 @@ pub use self::scan::{
     FrameReport, GapReport, OtherPlane, Refinement, ScanFile, SplatReport, SplatScore, SplatScores, SplatSet,
 };
 
+/// Masses by which a posterior is spoken for: 95 of them are below its 95 % quantile.
+const LIKELY: usize = 100;
+
 /// Result of the scan stage.
 pub const SCAN: &str = "splat/scan.json";
 /// How well the Gaussians match photos that they have not seen; not there where the scan came with depth maps.
@@ -89,6 +92,12 @@ impl MassFile {
             posterior: posterior.distribution,
             identification,
         }
+    }
+
+    /// Masses that are as likely as each other, evenly spread quantiles of the posterior, kg: with what is known of the friction they say how hard to
+    /// grip ([`drex_trial::Uncertainty`]).
+    pub fn likely_kg(&self) -> Vec<f64> {
+        (0..LIKELY).map(|i| self.posterior.quantile_kg((i as f64 + 0.5) / LIKELY as f64)).collect()
     }
 }
 

@@ -2,6 +2,8 @@
 
 use std::fs;
 
+use drex_twin::records::{MassFile, read_json};
+
 use crate::common::{PATIENT, drex, edit, keep_demonstrations, tin_copy};
 
 #[test]
@@ -51,6 +53,14 @@ fn a_trained_twin_grasps_and_deploys() {
     let (risk, friction) = (between["risk"].as_f64().unwrap(), between["friction"].as_f64().unwrap());
     assert!((friction - (0.3 + 0.5 * risk)).abs() < 1e-6 && (0.05..=0.5).contains(&risk), "{risk} {friction}");
     assert!(answer["risk"].is_null() && answer["friction"] == 0.5 && unknown(&["--friction", "0.5"]) == answer);
+    // Where the mass is what the push says, mass and friction are asked together.
+    let joint = drex(["grasp", at, "--json", "--pose", pose, "--friction", "0.3,0.8"]).json();
+    let number = |key: &str| joint[key].as_f64().unwrap();
+    let likely_kg = read_json::<MassFile>(&twin.join("mass.json")).unwrap().likely_kg();
+    let smoother =
+        likely_kg.iter().map(|kg| ((kg * number("friction") / number("mass_kg") - 0.3) / 0.5).clamp(0.0, 1.0));
+    let risk = smoother.sum::<f64>() / likely_kg.len() as f64;
+    assert!((risk - number("risk")).abs() < 1e-6, "{risk} {joint}");
     edit(&twin.join("twin.toml"), "friction = 0.5", "# friction = 0.5");
     assert_eq!(unknown(&[]), between);
     edit(&twin.join("twin.toml"), "# friction = 0.5", "friction = 0.5");

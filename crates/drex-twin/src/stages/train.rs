@@ -67,7 +67,8 @@ fn validated(
     progress.begin("practice", None);
     let mut options = LearnOptions {
         train,
-        spread: ConditionSpread::around(Some(twin.friction())),
+        // Where nobody states the friction they have to hold at all that the hand reckons with.
+        spread: ConditionSpread::around(twin.manifest.object.friction),
         simulated,
         shake_m_s2: TrialOptions::default().shake_m_s2,
         masses_kg: Vec::new(),

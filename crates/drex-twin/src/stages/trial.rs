@@ -33,7 +33,8 @@ pub(crate) fn make(twin: &Twin, progress: &dyn Progress) -> Result<Vec<PathBuf>>
     let unknown = match twin.manifest.object.friction {
         Some(_) => None,
         None => {
-            Some(Uncertainty::new(vec![mass.grip_kg], Uncertainty::ANY_FRICTION)?.in_turn(&GripForcePolicy::default()))
+            let uncertainty = Uncertainty::new(mass.likely_kg(), Uncertainty::ANY_FRICTION)?;
+            Some(uncertainty.spoken_for_by(mass.grip_kg)?.in_turn(&GripForcePolicy::default()))
         }
     };
     let conditions = spread.conditions(ROLLOUTS, twin.seed ^ TRIAL_SEED);

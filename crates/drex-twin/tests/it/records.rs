@@ -49,6 +49,19 @@ fn a_record_that_is_cut_or_garbled_is_named_with_what_to_do() {
 }
 
 #[test]
+fn what_the_mass_is_likely_to_be_is_spread_as_its_posterior_is() {
+    let (_dir, twin) = made();
+    let mass: MassFile = read_json(&twin.join(MASS)).unwrap();
+    let likely = mass.likely_kg();
+    assert!(likely.windows(2).all(|m| m[0] < m[1]), "{likely:?}");
+    let below = |kg: f64| likely.iter().filter(|m| **m < kg).count() as f64 / likely.len() as f64;
+    let [low, high] = mass.ci95_kg;
+    for (kg, share) in [(low, 0.025), (mass.mass_kg, 0.5), (high, 0.975)] {
+        assert!((below(kg) - share).abs() < 0.01, "{} of the masses are below {kg} kg", below(kg));
+    }
+}
+
+#[test]
 fn a_record_that_is_not_there_is_none_or_an_error_with_its_name() {
     let (_dir, twin) = made();
     let file = twin.join("policy/trial.json");
