@@ -51,8 +51,8 @@ fn a_small_bench_says_what_was_held_and_what_could_be() {
     let answer = run.json();
     let row = &answer["rows"][0];
     assert_eq!((row["n"].as_u64(), row["labels"]["object"].as_str()), (Some(3), Some("cube")), "{answer}");
-    let failed: u64 = row["failures"].as_object().unwrap().values().map(|v| v.as_u64().unwrap()).sum();
-    assert_eq!(row["successes"].as_u64().unwrap() + failed, 3);
+    let sum = |of: &str| row[of].as_object().unwrap().values().map(|v| v.as_u64().unwrap()).sum::<u64>();
+    assert_eq!(row["successes"].as_u64().unwrap() + sum("failures") + sum("refusals"), 3);
     // Some were carried out: rollouts that are all refused would agree with any number of threads.
     assert!(row["median_squeeze_n"].as_f64().is_some_and(|n| n > 0.0), "{answer}");
     assert!(row["interval"]["low"].as_f64() <= row["interval"]["high"].as_f64());
@@ -98,6 +98,7 @@ fn lists_of_objects_are_checked() {
         ("[[object]]\nname = \"a/b\"\nmesh = \"a.obj\"\nmass_kg = 1", vec!["file name"]),
         ("[[object]]\nname = \"a\"\nmesh = \"a.obj\"\nmass_kg = 1", vec!["\"a\"", "a.obj"]),
         ("[[object]]\nname = \"a\"\nmesh = \"a.obj\"\nmass_kg = 1\nfriction = -1", vec!["friction = -1"]),
+        ("[[object]]\nname = \"a\"\nmesh = \"a.obj\"\nmass_kg = 1\ndamaged_at_n = 0", vec!["damaged_at_n = 0"]),
         ("[[object]]\nname = \"a\"\nmesh = \"a.obj\"\nmass = 1", vec!["mass"]),
     ] {
         list(text);
@@ -185,7 +186,7 @@ fn a_network_is_trained_on_some_objects_and_tried_on_others() {
     let run = bench(["unseen", "--network", &network, "--count", "1", "--rollouts", "1", "--search", "400", "--json"]);
     assert_eq!(run.code, 0, "{}", run.stderr);
     let rows = run.json();
-    assert_eq!(rows.as_array().map(Vec::len), Some(8), "{rows}");
+    assert_eq!(rows.as_array().map(Vec::len), Some(9), "{rows}");
     assert!(rows.as_array().unwrap().iter().all(|r| r["n"] == 1), "{rows}");
     bench(["unseen", "--network", &format!("{folder}/none.safetensors")]).fails_with(&["none.safetensors"]);
     bench(["unseen", "--network", &network, "--hand", "allegro", "--count", "1"]).fails_with(&["leap"]);
