@@ -44,6 +44,7 @@ const WRITERS: &[(&str, Why)] = &[
     ("apps/drex-bench/src/many/data.rs", Caller),
     ("apps/drex-bench/src/run.rs", Checked),
     ("apps/drex-bench/src/table.rs", Constant),
+    ("apps/drex-bench/src/tables.rs", Constant),
     ("apps/drex-bench/src/tin/push.rs", Constant),
     ("apps/drex-bench/src/twins/mod.rs", Constant),
     ("apps/drex/src/commands/asset.rs", Checked),

@@ -136,7 +136,7 @@ pub struct Agreement {
 
 /// One rollout of a cell.
 struct Rollout {
-    judged: Evaluation,
+    evaluation: Evaluation,
     /// What the engine of the practice says, if that is compared and there was a command.
     other: Option<Evaluation>,
     /// There was no command.
@@ -152,14 +152,14 @@ impl<E: Evaluator> Cell<'_, E> {
         let rollouts: Vec<Rollout> = conditions.par_iter().map(|c| self.rollout(c)).collect::<Result<_>>()?;
         let agreement = self.compare.then(|| agreement(&rollouts));
         let (mut failures, mut refusals) = (BTreeMap::new(), BTreeMap::new());
-        for r in rollouts.iter().filter(|r| !r.judged.held()) {
+        for r in rollouts.iter().filter(|r| !r.evaluation.held()) {
             let counts = if r.refused { &mut refusals } else { &mut failures };
-            *counts.entry(name(r.judged.verdict)).or_insert(0) += 1;
+            *counts.entry(name(r.evaluation.verdict)).or_insert(0) += 1;
         }
-        let judged: Vec<Evaluation> = rollouts.into_iter().map(|r| r.judged).collect();
-        let held: Vec<bool> = judged.iter().map(Evaluation::held).collect();
+        let evaluations: Vec<Evaluation> = rollouts.into_iter().map(|r| r.evaluation).collect();
+        let held: Vec<bool> = evaluations.iter().map(Evaluation::held).collect();
         let successes = held.iter().filter(|h| **h).count();
-        let n = judged.len();
+        let n = evaluations.len();
         let within = conditions.iter().filter(|c| self.least_friction.is_some_and(|mu| c.friction >= mu)).count();
         Ok(Row {
             labels: self.labels.iter().cloned().collect(),
@@ -169,8 +169,8 @@ impl<E: Evaluator> Cell<'_, E> {
             failures,
             refusals,
             bound: within as f64 / n.max(1) as f64,
-            median_grip_force_n: upper_median(judged.iter().map(|j| j.grip_force_n).filter(|s| *s > 0.0)),
-            median_delivered_n: upper_median(judged.iter().filter_map(|j| j.held_n)),
+            median_grip_force_n: upper_median(evaluations.iter().map(|e| e.grip_force_n).filter(|s| *s > 0.0)),
+            median_delivered_n: upper_median(evaluations.iter().filter_map(|e| e.held_n)),
             agreement,
             held,
         })
@@ -183,12 +183,12 @@ impl<E: Evaluator> Cell<'_, E> {
                 let other = self.compare.then(|| self.evaluator.validate(&command, &truth)).transpose()?;
                 let other = other.map(|other| self.or_damaged(other));
                 Ok(Rollout {
-                    judged: self.or_damaged(self.evaluator.evaluate(&command, &truth)?),
+                    evaluation: self.or_damaged(self.evaluator.evaluate(&command, &truth)?),
                     other,
                     refused: false,
                 })
             }
-            Err(reason) => Ok(Rollout { judged: Evaluation::refused(&reason), other: None, refused: true }),
+            Err(reason) => Ok(Rollout { evaluation: Evaluation::refused(&reason), other: None, refused: true }),
         }
     }
 
@@ -263,12 +263,12 @@ impl AssumedMass {
 /// Counts the rollouts that both engines carried out.
 fn agreement(rollouts: &[Rollout]) -> Agreement {
     let mut out = Agreement { same: 0, n: 0, disagreements: BTreeMap::new() };
-    for (judged, other) in rollouts.iter().filter_map(|r| Some((&r.judged, r.other.as_ref()?))) {
+    for (evaluation, other) in rollouts.iter().filter_map(|r| Some((&r.evaluation, r.other.as_ref()?))) {
         out.n += 1;
-        if judged.held() == other.held() {
+        if evaluation.held() == other.held() {
             out.same += 1;
         } else {
-            *out.disagreements.entry(format!("{}/{}", name(judged.verdict), name(other.verdict))).or_insert(0) += 1;
+            *out.disagreements.entry(format!("{}/{}", name(evaluation.verdict), name(other.verdict))).or_insert(0) += 1;
         }
     }
     out

@@ -50,7 +50,22 @@ pub fn run(command: &Command, seed: u64, output: Output) -> Result<()> {
             let rows = unseen(args, seed)?;
             output.answer(&rows, rows.iter().map(UnseenRow::text).collect::<Vec<_>>().join("\n"))
         }
-        Command::Tables(args) => tables::tables(args, seed, output),
+        Command::Tables(args) => tables::tables(args, seed, output, markdown),
+    }
+}
+
+/// The hand that a command's table is of, and the table.
+fn markdown(command: &Command, seed: u64) -> Result<(String, String)> {
+    match command {
+        Command::Grasp(args) => {
+            let (table, robot) = grasp_table(args, seed)?;
+            Ok((robot.name.clone(), table.markdown()))
+        }
+        Command::Unseen(args) => {
+            let hand = TargetHand::resolve(&args.hand)?.robot.name;
+            Ok((hand, UnseenRow::markdown(&unseen(args, seed)?)))
+        }
+        _ => bail!("this command makes no table"),
     }
 }
 
@@ -243,7 +258,7 @@ fn grasped_objects(folder: &Path) -> Result<Vec<GraspedObject>> {
 }
 
 /// The rows of `bench unseen`.
-pub fn unseen(args: &UnseenArgs, seed: u64) -> Result<Vec<UnseenRow>> {
+fn unseen(args: &UnseenArgs, seed: u64) -> Result<Vec<UnseenRow>> {
     let hand = Arc::new(TargetHand::resolve(&args.hand)?.robot);
     let network = match &args.network {
         Some(file) => ProposalNetwork::load(file)?,
@@ -398,7 +413,7 @@ struct Timed<'a> {
 }
 
 /// The table of `bench grasp`, and the hand that it is of.
-pub fn grasp_table(args: &GraspArgs, seed: u64) -> Result<(Table, Arc<Robot>)> {
+fn grasp_table(args: &GraspArgs, seed: u64) -> Result<(Table, Arc<Robot>)> {
     let common = &args.common;
     let mut hand = TargetHand::resolve(&common.hand)?;
     // Before minutes of practice.

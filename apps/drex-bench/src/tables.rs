@@ -6,13 +6,10 @@ use std::process::Command as Process;
 use anyhow::{Context, Result, bail};
 use clap::Parser as _;
 use drex_core::fsutil;
-use drex_retarget::TargetHand;
 use drex_trial::Engine;
 use serde::Serialize;
 
 use crate::cli::{Cli, Command, EngineArg, Output, TablesArgs};
-use crate::many::UnseenRow;
-use crate::run::{grasp_table, unseen};
 
 /// Name, command and question of each table.
 const TABLES: [(&str, &str, &str); 8] = [
@@ -65,11 +62,14 @@ struct Made {
     core_minutes: Option<f64>,
 }
 
+/// The hand that a command's table is of, and the table as Markdown; of a command and a seed.
+pub type Make = fn(&Command, u64) -> Result<(String, String)>;
+
 /// Makes all tables, or those that were asked for.
 ///
 /// # Errors
 /// If there is no such table, one cannot be made, or a file cannot be written.
-pub fn tables(args: &TablesArgs, seed: u64, output: Output) -> Result<()> {
+pub fn tables(args: &TablesArgs, seed: u64, output: Output, make: Make) -> Result<()> {
     let names = TABLES.map(|t| t.0);
     if let Some(unknown) = args.only.iter().find(|only| !names.contains(&only.as_str())) {
         bail!("there is no table \"{unknown}\"; there are {}", names.join(", "));
@@ -85,7 +85,8 @@ pub fn tables(args: &TablesArgs, seed: u64, output: Output) -> Result<()> {
         let engine = if args.engine == EngineArg::Mujoco { " --judge mujoco" } else { "" };
         let line = format!("drex-bench {command}{engine} --seed {seed}");
         let start = cpu_seconds();
-        let (hand, body) = run(&line, seed).with_context(|| format!("table \"{name}\""))?;
+        let command = Cli::try_parse_from(line.split_whitespace())?.command;
+        let (hand, body) = make(&command, seed).with_context(|| format!("table \"{name}\""))?;
         let core_minutes = start.and_then(|start| Some((cpu_seconds()? - start) / 60.0));
         let cost = core_minutes.map_or(String::new(), |m| format!(", {m:.1} core-minutes"));
         let engine = match Engine::from(args.engine) {
@@ -99,21 +100,6 @@ pub fn tables(args: &TablesArgs, seed: u64, output: Output) -> Result<()> {
     }
     let lines = made.iter().map(|m| format!("{}.md", args.out.join(m.name).display()));
     output.answer(&made, lines.collect::<Vec<_>>().join("\n"))
-}
-
-/// Runs the command; the hand that it is of, and its table.
-fn run(line: &str, seed: u64) -> Result<(String, String)> {
-    match Cli::try_parse_from(line.split_whitespace())?.command {
-        Command::Grasp(args) => {
-            let (table, robot) = grasp_table(&args, seed)?;
-            Ok((robot.name.clone(), table.markdown()))
-        }
-        Command::Unseen(args) => {
-            let hand = TargetHand::resolve(&args.hand)?.robot.name;
-            Ok((hand, UnseenRow::markdown(&unseen(&args, seed)?)))
-        }
-        _ => bail!("no table is made by \"{line}\""),
-    }
 }
 
 /// The commit that is checked out where the program is run, and whether there are changes since.
@@ -153,7 +139,7 @@ mod tests {
         let out = tempfile::tempdir().unwrap();
         let (only, out) = (vec!["masses".to_owned()], out.path().to_owned());
         let args = TablesArgs { only, engine: EngineArg::Diffsim, out };
-        let error = tables(&args, 0, Output { json: false }).unwrap_err().to_string();
+        let error = tables(&args, 0, Output { json: false }, |_, _| unreachable!()).unwrap_err().to_string();
         assert!(error.contains("mass-source") && error.contains("unseen-leap"), "{error}");
     }
 
