@@ -35,7 +35,7 @@ pub struct ObjectSpec {
     pub up: Option<Vector3<f64>>,
 }
 
-/// Things whose limit somebody has measured: name, largest normal force of a fingertip in N, mass in kg.
+/// Things whose limit somebody has stated: name, largest normal force of a fingertip in N, mass in kg.
 ///
 /// Expanded polystyrene stays elastic up to 1 % strain, at 40, 50 and 75 kPa for the types EPS19, EPS22 and EPS29 (ASTM D6817, table 1), here on the pad of a
 /// fingertip, 1 cm². 10 N of a fingertip "can crack an egg or crush a soda can" (ROS, `pr2_gripper_sensor_msgs/PR2GripperForceServoCommand`).
@@ -57,7 +57,7 @@ pub fn damaged_by_half_as_much_again(limit_n: f64, per_weight: f64) -> f64 {
 /// Friction of fragile things: the middle of the protocol's spread, as for the letters of `cross-mass`.
 pub const FRAGILE_FRICTION: f64 = 0.55;
 
-/// Fragile things of 145 to 370 g.
+/// The fragile things.
 pub fn fragile() -> Result<Vec<ObjectSpec>> {
     FRAGILE.iter().map(|(name, ..)| named(name)).collect()
 }

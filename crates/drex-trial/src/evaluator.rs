@@ -246,8 +246,11 @@ impl TrialEvaluator {
 
     /// Evaluation of what is planned for one hand and object with another, as [`Trial::with_plant`]: by [`Evaluator::evaluate`] and
     /// [`Evaluator::validate`] alike.
-    pub fn with_plant(self, plant: Trial) -> Self {
-        Self { trial: self.trial.with_plant(plant), ..self }
+    ///
+    /// # Errors
+    /// As [`Trial::with_plant`].
+    pub fn with_plant(self, plant: Trial) -> Result<Self> {
+        Ok(Self { trial: self.trial.with_plant(plant)?, ..self })
     }
 
     /// The hand and the object.

@@ -48,8 +48,22 @@ impl Trial {
 
     /// Trials whose commands, planned for the hand and the object as they are known, are carried out by another hand on another object: those of
     /// `plant`, with its options. The controller goes on to reckon with the friction and the gains of the hand that is known.
-    pub fn with_plant(self, plant: Self) -> Self {
-        Self(self.0, Some(plant.0))
+    ///
+    /// # Errors
+    /// If the hand of the plant has other joints, links or drives.
+    pub fn with_plant(self, plant: Self) -> Result<Self> {
+        let joints = |hand: &Robot| hand.actuators.iter().map(|a| a.joint).collect::<Vec<_>>();
+        let (known, there) = (&self.0.hand, &plant.0.hand);
+        if known.joint_names() != there.joint_names()
+            || known.links.len() != there.links.len()
+            || joints(known) != joints(there)
+        {
+            return Err(Error::value(
+                format!("the plant's hand {} is not built as {}", there.name, known.name),
+                "give the same hand with other numbers",
+            ));
+        }
+        Ok(Self(self.0, Some(plant.0)))
     }
 
     /// The hand.
@@ -191,7 +205,7 @@ impl Trial {
         let mut under_way: VecDeque<Vec<f64>> = VecDeque::with_capacity(late + 1);
         for i in 0..ticks {
             let newest = controller.command(i as f64 * tick_s, &simulation);
-            if under_way.is_empty() {
+            if i == 0 {
                 // At rest before the start, the first command has been there for long.
                 under_way.extend(std::iter::repeat_n(newest.clone(), late));
             }

@@ -7,7 +7,7 @@ use std::sync::Arc;
 
 use drex_core::Pose;
 use drex_grasp::Grasp;
-use drex_robot::ActuatorKind;
+use drex_robot::{ActuatorKind, Robot};
 use drex_trial::{Assumed, Engine, GripForce, NoCommand, Trial, TrialOptions, Truth, Verdict};
 use rayon::prelude::*;
 use support::{grasps, trial_of};
@@ -104,7 +104,7 @@ fn a_command_is_carried_out_by_the_hand_that_is_there() {
     let found = grasps();
     let command = known().command(&found[0], &ASSUMED, GripForce::Required).unwrap().unwrap();
     let truth = Truth::as_assumed(&ASSUMED, 1);
-    let outcome = |plant| known().with_plant(plant).run(&command, &truth, Engine::Diffsim).unwrap();
+    let outcome = |plant| known().with_plant(plant).unwrap().run(&command, &truth, Engine::Diffsim).unwrap();
     let same = known().run(&command, &truth, Engine::Diffsim).unwrap();
     assert!(same.succeeded(), "{same:?}");
     assert_eq!(outcome(known()), same);
@@ -117,6 +117,10 @@ fn a_command_is_carried_out_by_the_hand_that_is_there() {
     let object = known().object().clone();
     let weak = outcome(Trial::new(Arc::new(weak), object.clone(), TrialOptions::default()).unwrap());
     assert!(matches!(weak.verdict, Verdict::Slip | Verdict::Drop), "{weak:?}");
+    let allegro = Arc::new(Robot::bundled("allegro_right").unwrap());
+    let other =
+        known().with_plant(Trial::new(allegro, object.clone(), TrialOptions::default()).unwrap()).err().unwrap();
+    assert!(other.to_string().contains("allegro_right is not built as leap_right"), "{other}");
     let late = |latency_s: f64| {
         let mut options = TrialOptions::default();
         options.latency_s = latency_s;

@@ -211,7 +211,7 @@ fn one(
     let (object, truth) = (if way == Way::Turned { &turned } else { scan.as_ref().unwrap_or(object) }, object);
     let mut evaluator = TrialEvaluator::new(object, hand, &TrialOptions::default(), options.engine)?;
     if way == Way::Plant {
-        evaluator = evaluator.with_plant(Trial::new(disturbed(hand, seed), off_centre(truth, seed), late())?);
+        evaluator = evaluator.with_plant(Trial::new(disturbed(hand, seed), off_centre(truth, seed), late())?)?;
     }
     let closing = FingerClosing::new(hand)?;
     let tally = Mutex::new(Tally::default());
