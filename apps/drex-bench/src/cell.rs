@@ -334,7 +334,7 @@ mod tests {
     }
 
     #[test]
-    fn what_a_finger_presses_too_hard_is_crushed_and_told_from_what_slips_and_from_what_is_refused() {
+    fn crushed_slipped_and_refused_are_counted_apart() {
         let grasp = Grasp::new(&Robot::bundled("leap_right").unwrap(), Vec::new(), Pose::identity());
         let grasp = Grasp { joints_rad: vec![12.0], ..grasp };
         let actor = Actor::Always(vec![Proposal { grasp, grip_force_n: 0.0, weight: 1.0 }]);

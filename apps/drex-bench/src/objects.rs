@@ -349,7 +349,7 @@ mod tests {
     }
 
     #[test]
-    fn the_limit_of_a_fragile_thing_is_between_the_force_for_its_mass_and_that_for_half_as_much_again() {
+    fn damage_limits_lie_between_the_forces_for_the_mass_and_for_half_as_much_again() {
         for spec in fragile().unwrap() {
             let (limit_n, weight_n) = (spec.damaged_at_n.unwrap(), spec.mass_kg * 9.81);
             // What the grip-force policy asks of an even pinch.

@@ -74,6 +74,8 @@ pub fn tables(args: &TablesArgs, seed: u64, output: Output, make: Make) -> Resul
     if let Some(unknown) = args.only.iter().find(|only| !names.contains(&only.as_str())) {
         bail!("there is no table \"{unknown}\"; there are {}", names.join(", "));
     }
+    // Before hours of rollouts whose table has no place.
+    std::fs::create_dir_all(&args.out).with_context(|| format!("cannot make the folder {}", args.out.display()))?;
     // Before the first table changes the checkout.
     let commit = commit();
     let mut made = Vec::new();
@@ -141,6 +143,14 @@ mod tests {
         let args = TablesArgs { only, engine: EngineArg::Diffsim, out };
         let error = tables(&args, 0, Output { json: false }, |_, _| unreachable!()).unwrap_err().to_string();
         assert!(error.contains("mass-source") && error.contains("unseen-leap"), "{error}");
+    }
+
+    #[test]
+    fn a_folder_that_cannot_be_made_is_refused_before_anything_is_rolled_out() {
+        let file = tempfile::NamedTempFile::new().unwrap();
+        let args = TablesArgs { only: Vec::new(), engine: EngineArg::Diffsim, out: file.path().to_owned() };
+        let error = tables(&args, 0, Output { json: false }, |_, _| unreachable!()).unwrap_err().to_string();
+        assert!(error.contains(file.path().to_str().unwrap()), "{error}");
     }
 
     #[test]
