@@ -17,7 +17,7 @@ fn text(p: &Prediction) -> String {
     let [qw, qx, qy, qz] = p.world_from_base.quat_wxyz;
     let friction = match (p.friction_range, p.risk) {
         (Some([low, high]), Some(risk)) => {
-            format!("{low} to {high}, gripped for {:.3}: {:.0} % are smoother", p.friction, 100.0 * risk)
+            format!("{low} to {high}, gripped for {:.3}: {:.0} % would take more", p.friction, 100.0 * risk)
         }
         _ => p.friction.to_string(),
     };
