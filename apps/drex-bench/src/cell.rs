@@ -369,7 +369,7 @@ mod tests {
     #[test]
     fn what_is_deployed_is_what_a_table_evaluates() {
         let robot = Arc::new(Robot::bundled("leap_right").unwrap());
-        let object = BenchObject::new(&objects::named("cube").unwrap()).unwrap().object;
+        let object = BenchObject::new(&objects::named("cube").unwrap()).unwrap().object.with_mass(0.08);
         let evaluator = TrialEvaluator::new(&object, &robot, &TrialOptions::default(), Engine::Diffsim).unwrap();
         let mut grasps = synthesize_grasps(&object, &robot, 4000, 5).unwrap();
         grasps.truncate(12);

@@ -186,7 +186,7 @@ fn a_network_is_trained_on_some_objects_and_tried_on_others() {
     let run = bench(["unseen", "--network", &network, "--count", "1", "--rollouts", "1", "--search", "400", "--json"]);
     assert_eq!(run.code, 0, "{}", run.stderr);
     let rows = run.json();
-    assert_eq!(rows.as_array().map(Vec::len), Some(9), "{rows}");
+    assert_eq!(rows.as_array().map(Vec::len), Some(11), "{rows}");
     assert!(rows.as_array().unwrap().iter().all(|r| r["n"] == 1), "{rows}");
     bench(["unseen", "--network", &format!("{folder}/none.safetensors")]).fails_with(&["none.safetensors"]);
     bench(["unseen", "--network", &network, "--hand", "allegro", "--count", "1"]).fails_with(&["leap"]);

@@ -8,10 +8,10 @@ use crate::engine::{Drive, Simulation};
 use crate::reach::Reach;
 use crate::timeline::{APPROACHED_S, CLOSED_S, GRIPPED_S};
 
-/// Torque beyond a joint's own friction with which fingers close until they touch, N m: four fingers then press with about a newton in
-/// all, the least grip force of the law; more would partly stay in the joints' friction. Joints that have no part in a grip force hold their
+/// Torque beyond a joint's own friction with which fingers close until they touch, N m: four fingers then press with about two newtons in
+/// all. With half of it drives that are weaker than their model stop short of an object (docs/grasping.md). Joints that have no part in a grip force hold their
 /// place with as much.
-const CLOSING_NM: f64 = 0.02;
+const CLOSING_NM: f64 = 0.04;
 /// Ends of the parts of the grip force, as shares of its time. A finger at rest presses with what it pressed with before, as far as its joints' dry friction
 /// allows. So joints are commanded less than the grip force by their friction, which lets go of what is too much, then more by as much, which makes good
 /// for what is too little, then the grip force.

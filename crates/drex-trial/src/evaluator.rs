@@ -1,5 +1,6 @@
 //! Whether a grasp holds under conditions that are drawn: by simulation, or in tests by a formula.
 
+use std::borrow::Cow;
 use std::sync::Arc;
 
 use drex_core::Object;
@@ -11,8 +12,8 @@ use rand_chacha::ChaCha8Rng;
 use rayon::prelude::*;
 
 use crate::{
-    Assumed, ClosingPlan, Command, Engine, Frame, GripForce, NoCommand, Outcome, Result, Trial, TrialOptions, Truth,
-    Verdict,
+    Assumed, ClosingPlan, Command, Engine, Frame, GripForce, Mismatch, NoCommand, Outcome, Result, Trial, TrialOptions,
+    Truth, Verdict,
 };
 
 /// What differs from rollout to rollout.
@@ -233,6 +234,9 @@ pub fn rollouts<E: Evaluator>(
 pub struct TrialEvaluator {
     trial: Trial,
     engine: Engine,
+    /// What is off in the trials of each kind.
+    validated: Option<Mismatch>,
+    evaluated: Option<Mismatch>,
 }
 
 impl TrialEvaluator {
@@ -241,16 +245,20 @@ impl TrialEvaluator {
     /// # Errors
     /// As [`Trial::new`].
     pub fn new(object: &Object, robot: &Arc<Robot>, options: &TrialOptions, engine: Engine) -> Result<Self> {
-        Ok(Self { trial: Trial::new(robot.clone(), object.clone(), options.clone())?, engine })
+        let trial = Trial::new(robot.clone(), object.clone(), options.clone())?;
+        Ok(Self { trial, engine, validated: None, evaluated: None })
     }
 
-    /// Evaluation of what is planned for one hand and object with another, as [`Trial::with_plant`]: by [`Evaluator::evaluate`] and
-    /// [`Evaluator::validate`] alike.
-    ///
-    /// # Errors
-    /// As [`Trial::with_plant`].
-    pub fn with_plant(self, plant: Trial) -> Result<Self> {
-        Ok(Self { trial: self.trial.with_plant(plant)?, ..self })
+    /// [`Evaluator::evaluate`] with another hand and another object than those that are planned for, drawn anew for each [`Truth`].
+    #[must_use]
+    pub fn evaluating_with(self, mismatch: Mismatch) -> Self {
+        Self { evaluated: Some(mismatch), ..self }
+    }
+
+    /// The same of [`Evaluator::validate`], by which grasps are selected.
+    #[must_use]
+    pub fn validating_with(self, mismatch: Mismatch) -> Self {
+        Self { validated: Some(mismatch), ..self }
     }
 
     /// The hand and the object.
@@ -263,7 +271,15 @@ impl TrialEvaluator {
     /// # Errors
     /// As [`Trial::record`].
     pub fn record(&self, command: &Command, truth: &Truth, every_s: f64) -> Result<Vec<Frame>> {
-        Ok(self.trial.record(command, truth, self.engine, every_s)?.1)
+        Ok(self.under(&self.evaluated, truth)?.record(command, truth, self.engine, every_s)?.1)
+    }
+
+    /// The trial, or one that is off.
+    fn under(&self, mismatch: &Option<Mismatch>, truth: &Truth) -> Result<Cow<'_, Trial>> {
+        match mismatch {
+            Some(mismatch) => Ok(Cow::Owned(self.trial.mismatched(mismatch, truth.seed)?)),
+            None => Ok(Cow::Borrowed(&self.trial)),
+        }
     }
 }
 
@@ -312,15 +328,15 @@ impl Evaluator for TrialEvaluator {
     }
 
     fn validate(&self, command: &Command, truth: &Truth) -> Result<Evaluation> {
-        Ok(self.trial.run(command, truth, Engine::Diffsim)?.into())
+        Ok(self.under(&self.validated, truth)?.run(command, truth, Engine::Diffsim)?.into())
     }
 
     fn validate_until_failure(&self, command: &Command, truth: &Truth) -> Result<Evaluation> {
-        Ok(self.trial.run_until_failure(command, truth, Engine::Diffsim)?.into())
+        Ok(self.under(&self.validated, truth)?.run_until_failure(command, truth, Engine::Diffsim)?.into())
     }
 
     fn evaluate(&self, command: &Command, truth: &Truth) -> Result<Evaluation> {
-        Ok(self.trial.run(command, truth, self.engine)?.into())
+        Ok(self.under(&self.evaluated, truth)?.run(command, truth, self.engine)?.into())
     }
 }
 

@@ -10,7 +10,7 @@ use nalgebra::{Translation3, UnitQuaternion, Vector3};
 
 use crate::engine::{Drive, Setup, Simulation, drives_of};
 use crate::reach::Reach;
-use crate::{Engine, Result, TrialOptions, Truth, timeline};
+use crate::{Engine, Mismatch, Result, TrialOptions, Truth, mismatch, timeline};
 
 /// Distance of the points on the hand by which it is planned, m.
 const SPACING_M: f64 = 0.003;
@@ -18,15 +18,18 @@ const SPACING_M: f64 = 0.003;
 pub(crate) const STEPS_PER_TICK: usize = 2;
 
 /// What closings and trials of one hand with one object share.
+#[derive(Clone)]
 pub(crate) struct HandAndObject {
     pub hand: Arc<Robot>,
     pub drives: Vec<Drive>,
-    pub surface: HandSurface,
+    pub surface: Arc<HandSurface>,
     pub object: Object,
     collider: Arc<Collider>,
     pub options: TrialOptions,
     /// Largest torque of each joint, model order, N m.
     pub effort_nm: Vec<f64>,
+    /// Time from reading the joints to when the command that comes of it acts, s.
+    pub latency_s: f64,
 }
 
 impl HandAndObject {
@@ -37,7 +40,24 @@ impl HandAndObject {
         let effort_nm = hand.effort_limits()?;
         let surface = HandSurface::new(&hand, SPACING_M)?;
         let drives = drives_of(&hand);
-        Ok(Self { hand, drives, surface, object, collider: Arc::new(collider), options, effort_nm })
+        let (surface, collider) = (Arc::new(surface), Arc::new(collider));
+        Ok(Self { hand, drives, surface, object, collider, options, effort_nm, latency_s: 0.0 })
+    }
+
+    /// See [`Trial::mismatched`](crate::Trial::mismatched).
+    pub fn mismatched(&self, mismatch: &Mismatch, seed: u64) -> Result<Self> {
+        mismatch.check()?;
+        let mut random = mismatch::random(seed);
+        let object = mismatch.object(&self.object, &mut random);
+        let hand = mismatch.hand(&self.hand, &mut random);
+        Ok(Self {
+            drives: drives_of(&hand),
+            collider: Arc::new(Collider::of_parts(&object.convex_parts)?),
+            hand,
+            object,
+            latency_s: mismatch.latency_s,
+            ..self.clone()
+        })
     }
 
     /// Everything at the start of a command, with the palm's path until `last_s`.

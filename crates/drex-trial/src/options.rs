@@ -14,13 +14,11 @@ pub struct TrialOptions {
     pub shake_m_s2: f64,
     /// Time step of both engines, 1e-4 to 0.004 s.
     pub dt_s: f64,
-    /// Time from reading the joints to when the command that comes of it acts, at most 0.2 s; a multiple of two steps.
-    pub latency_s: f64,
 }
 
 impl Default for TrialOptions {
     fn default() -> Self {
-        Self { law: GripForcePolicy::default(), shake_m_s2: 0.5 * 9.81, dt_s: 2e-3, latency_s: 0.0 }
+        Self { law: GripForcePolicy::default(), shake_m_s2: 0.5 * 9.81, dt_s: 2e-3 }
     }
 }
 
@@ -29,7 +27,6 @@ impl TrialOptions {
         let demands = [
             ("shake_m_s2", self.shake_m_s2, self.shake_m_s2 >= 0.0),
             ("dt_s", self.dt_s, (1e-4..=0.004).contains(&self.dt_s)),
-            ("latency_s", self.latency_s, (0.0..=0.2).contains(&self.latency_s)),
         ];
         match demands.into_iter().find(|(_, value, met)| !(*met && value.is_finite())) {
             Some((name, value, _)) => {

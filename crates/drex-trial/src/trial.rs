@@ -13,8 +13,8 @@ use crate::engine::Simulation;
 use crate::hand_and_object::{HandAndObject, STEPS_PER_TICK};
 use crate::watch::Watch;
 use crate::{
-    Assumed, ClosingPlan, Command, Engine, Error, GripForce, NoCommand, Outcome, Result, TrialOptions, Truth, closing,
-    command, timeline,
+    Assumed, ClosingPlan, Command, Engine, Error, GripForce, Mismatch, NoCommand, Outcome, Result, TrialOptions, Truth,
+    closing, command, timeline,
 };
 
 /// What can be seen of a trial at one time.
@@ -34,7 +34,8 @@ pub struct Frame {
 }
 
 /// A hand and an object, ready for trials: as the hand knows them, and as they are where that differs.
-pub struct Trial(HandAndObject, Option<HandAndObject>);
+#[derive(Clone)]
+pub struct Trial(Arc<HandAndObject>, Option<HandAndObject>);
 
 impl Trial {
     /// Prepares trials of `hand` with `object`.
@@ -43,27 +44,16 @@ impl Trial {
     /// If the hand has no collision shapes, its model does not say what its motors give ([`Robot::effort_limits`]), or an option is
     /// out of range.
     pub fn new(hand: Arc<Robot>, object: Object, options: TrialOptions) -> Result<Self> {
-        Ok(Self(HandAndObject::new(hand, object, options)?, None))
+        Ok(Self(Arc::new(HandAndObject::new(hand, object, options)?), None))
     }
 
-    /// Trials whose commands, planned for the hand and the object as they are known, are carried out by another hand on another object: those of
-    /// `plant`, with its options. The controller goes on to reckon with the friction and the gains of the hand that is known.
+    /// Trials of the same plans with another hand and another object than those that are known, drawn with a seed. The controller goes on to reckon with
+    /// the friction and the gains of the hand that is known.
     ///
     /// # Errors
-    /// If the hand of the plant has other joints, links or drives.
-    pub fn with_plant(self, plant: Self) -> Result<Self> {
-        let joints = |hand: &Robot| hand.actuators.iter().map(|a| a.joint).collect::<Vec<_>>();
-        let (known, there) = (&self.0.hand, &plant.0.hand);
-        if known.joint_names() != there.joint_names()
-            || known.links.len() != there.links.len()
-            || joints(known) != joints(there)
-        {
-            return Err(Error::value(
-                format!("the plant's hand {} is not built as {}", there.name, known.name),
-                "give the same hand with other numbers",
-            ));
-        }
-        Ok(Self(self.0, Some(plant.0)))
+    /// If a number of the mismatch is out of range.
+    pub fn mismatched(&self, mismatch: &Mismatch, seed: u64) -> Result<Self> {
+        Ok(Self(self.0.clone(), Some(self.0.mismatched(mismatch, seed)?)))
     }
 
     /// The hand.
@@ -193,7 +183,8 @@ impl Trial {
     ) -> Result<Outcome> {
         truth.check()?;
         // What the hand knows of itself, and what is there.
-        let (own, plant) = (&self.0, self.1.as_ref().unwrap_or(&self.0));
+        let own = &self.0;
+        let plant = self.1.as_ref().unwrap_or(own);
         let mut simulation =
             plant.simulation(&command.world_from_base, &command.reach, truth, timeline::SHAKEN_S, engine)?;
         let Command { reach, contact_forces, limits_nm, .. } = command;
@@ -201,7 +192,7 @@ impl Trial {
         let tick_s = plant.options.dt_s * STEPS_PER_TICK as f64;
         let mut watch = Watch::new(&plant.surface, plant.object.max_finger_n, command.grip_force_n, tick_s);
         let ticks = (timeline::SHAKEN_S / tick_s).round() as usize;
-        let late = (plant.options.latency_s / tick_s).round() as usize;
+        let late = (plant.latency_s / tick_s).round() as usize;
         let mut under_way: VecDeque<Vec<f64>> = VecDeque::with_capacity(late + 1);
         for i in 0..ticks {
             let newest = controller.command(i as f64 * tick_s, &simulation);

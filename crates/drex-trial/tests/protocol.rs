@@ -3,12 +3,9 @@
 
 mod support;
 
-use std::sync::Arc;
-
 use drex_core::Pose;
 use drex_grasp::Grasp;
-use drex_robot::{ActuatorKind, Robot};
-use drex_trial::{Assumed, Engine, GripForce, NoCommand, Trial, TrialOptions, Truth, Verdict};
+use drex_trial::{Assumed, Command, Engine, GripForce, Mismatch, NoCommand, Outcome, Trial, Truth, Verdict};
 use rayon::prelude::*;
 use support::{grasps, trial_of};
 
@@ -72,18 +69,24 @@ fn a_small_grip_force_is_not_what_the_closing_left() {
     assert!(ratios[ratios.len() / 2] < 1.25 && ratios[3 * ratios.len() / 4] < 1.4, "{ratios:?}");
 }
 
+/// The first of the grasps that holds.
+fn holding(trial: &Trial, truth: &Truth) -> (Command, Outcome) {
+    let tried = |g: &Grasp| {
+        let command = trial.command(g, &ASSUMED, GripForce::Required).unwrap().unwrap();
+        let outcome = trial.run(&command, truth, Engine::Diffsim).unwrap();
+        (command, outcome)
+    };
+    grasps().iter().map(tried).find(|(_, outcome)| outcome.succeeded()).unwrap()
+}
+
 #[test]
 fn a_film_shows_the_run_and_does_not_change_it() {
     let trial = trial_of(|_, _| {});
-    let found = grasps();
-    let g = &found[0];
-    let command = trial.command(g, &ASSUMED, GripForce::Required).unwrap().unwrap();
     let truth = Truth::as_assumed(&ASSUMED, 1);
-    let outcome = trial.run(&command, &truth, Engine::Diffsim).unwrap();
+    let (command, outcome) = holding(&trial, &truth);
     let (filmed, frames) = trial.record(&command, &truth, Engine::Diffsim, 0.1).unwrap();
     assert_eq!(filmed, outcome);
     assert_eq!(trial.run_until_failure(&command, &truth, Engine::Diffsim).unwrap(), outcome);
-    assert!(outcome.succeeded(), "{outcome:?}");
     for (i, frame) in frames.iter().enumerate() {
         assert!((frame.time_s - 0.1 * i as f64).abs() < 0.005, "frame {i} at {} s", frame.time_s);
     }
@@ -100,35 +103,34 @@ fn a_film_shows_the_run_and_does_not_change_it() {
 
 #[test]
 fn a_command_is_carried_out_by_the_hand_that_is_there() {
-    let known = || trial_of(|_, _| {});
-    let found = grasps();
-    let command = known().command(&found[0], &ASSUMED, GripForce::Required).unwrap().unwrap();
+    let known = trial_of(|_, _| {});
     let truth = Truth::as_assumed(&ASSUMED, 1);
-    let outcome = |plant| known().with_plant(plant).unwrap().run(&command, &truth, Engine::Diffsim).unwrap();
-    let same = known().run(&command, &truth, Engine::Diffsim).unwrap();
-    assert!(same.succeeded(), "{same:?}");
-    assert_eq!(outcome(known()), same);
-    // Commands are angles: drives of half the stiffness press with half of what is meant.
-    let mut weak = (**known().hand()).clone();
-    for a in &mut weak.actuators {
-        let ActuatorKind::Position { kp, .. } = &mut a.kind else { panic!("{}", a.name) };
-        *kp *= 0.5;
-    }
-    let object = known().object().clone();
-    let weak = outcome(Trial::new(Arc::new(weak), object.clone(), TrialOptions::default()).unwrap());
-    assert!(matches!(weak.verdict, Verdict::Slip | Verdict::Drop), "{weak:?}");
-    let allegro = Arc::new(Robot::bundled("allegro_right").unwrap());
-    let other =
-        known().with_plant(Trial::new(allegro, object.clone(), TrialOptions::default()).unwrap()).err().unwrap();
-    assert!(other.to_string().contains("allegro_right is not built as leap_right"), "{other}");
-    let late = |latency_s: f64| {
-        let mut options = TrialOptions::default();
-        options.latency_s = latency_s;
-        Trial::new(known().hand().clone(), object.clone(), options)
+    let (command, same) = holding(&known, &truth);
+    let outcome = |alone: fn(&mut Mismatch), seed| {
+        let mut mismatch = Mismatch::NONE;
+        alone(&mut mismatch);
+        known.mismatched(&mismatch, seed).unwrap().run(&command, &truth, Engine::Diffsim).unwrap()
     };
-    assert_eq!(outcome(late(0.0).unwrap()), same);
-    assert_ne!(outcome(late(0.02).unwrap()), same);
-    assert!(late(-0.01).err().unwrap().to_string().contains("latency_s is -0.01"));
+    assert_eq!(outcome(|_| {}, 5), same);
+    // Each of them is something else, and another seed another of it; lateness is the same for all.
+    let surface = |m: &mut Mismatch| m.surface_m = 1.2e-3;
+    let centre = |m: &mut Mismatch| m.centre_m = 0.01;
+    let joints = |m: &mut Mismatch| m.joint_share = 0.2;
+    for alone in [surface, centre, joints] {
+        let one = outcome(alone, 5);
+        assert_ne!(one, same);
+        assert_eq!(one, outcome(alone, 5));
+        assert_ne!(one, outcome(alone, 6));
+    }
+    let late = |m: &mut Mismatch| m.latency_s = 0.02;
+    assert_ne!(outcome(late, 5), same);
+    assert_eq!(outcome(late, 5), outcome(late, 6));
+    // Commands are angles: of drives of which some have hardly any stiffness, hardly any press as is meant.
+    let weak = (0..4).map(|seed| outcome(|m| m.joint_share = 0.95, seed));
+    assert!(weak.filter(Outcome::succeeded).count() < 4);
+    let mut early = Mismatch::NONE;
+    early.latency_s = -0.01;
+    assert!(known.mismatched(&early, 1).err().unwrap().to_string().contains("latency_s is -0.01"));
 }
 
 #[test]

@@ -1,7 +1,6 @@
 //! One network over many objects: objects of many categories, verified grasps of them, and how the network does on categories that it has not seen.
 
 mod data;
-mod plant;
 mod shapes;
 mod unseen;
 

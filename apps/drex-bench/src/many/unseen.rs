@@ -13,8 +13,8 @@ use drex_policy::Query;
 use drex_policy::proposal::ProposalNetwork;
 use drex_robot::Robot;
 use drex_trial::{
-    Assumed, Condition, ConditionSpread, Engine, Evaluator as _, GripForce, Interval, Proposal, Trial, TrialEvaluator,
-    TrialOptions, clustered, clustered_difference,
+    Assumed, Condition, ConditionSpread, Engine, Evaluator as _, GripForce, Interval, Mismatch, Proposal,
+    SelectionOptions, TrialEvaluator, TrialOptions, clustered, clustered_difference, select_grasps,
 };
 use drex_twin::propose::proposals;
 use nalgebra::{Point3, Vector3};
@@ -24,10 +24,8 @@ use rayon::prelude::*;
 use serde::Serialize;
 
 use super::data::cloud;
-use super::plant::{disturbed, late, off_centre, scanned};
 use super::{Category, at_rest, graspable};
 use crate::cell::{Actor, AssumedFriction, AssumedMass, Cell, Row, Setting};
-use crate::objects::ObjectSpec;
 use crate::table::{counted, markdown_line, percent};
 
 /// Grasps that go through the path, at most.
@@ -39,6 +37,10 @@ const CLOSED: usize = 400;
 /// Of those that are closed, how many go through the path of each rollout.
 const KEPT: usize = 10;
 
+/// Grasps that are tried before.
+const TRIED: usize = 20;
+/// In the middle of the frictions of the rollouts.
+const MIDDLE_FRICTION: f64 = 0.55;
 /// Standard deviation of noisy points in each direction, metres, and what distinguishes its seed.
 const NOISE_M: f64 = 0.002;
 const NOISE_SEED: u64 = 0x6e6f_6973;
@@ -71,20 +73,25 @@ enum Way {
     Noisy,
     /// All of it, but nobody knows the friction.
     UnknownFriction,
-    /// All of a scan of it, and a hand that is another than its model says: see `plant`.
-    Plant,
+    /// All of it, but surface, centre of mass and hand are others than those that it is planned for: [`Mismatch`].
+    Off,
+    /// Those of the network's first [`TRIED`] that held best in simulation, as `drex grasp` tries them; where all is as planned, and where it is not.
+    Tried,
+    TriedOff,
     /// A search with so many hundredths of the effort.
     Search(usize),
 }
 
-const WAYS: [Way; 9] = [
+const WAYS: [Way; 11] = [
     Way::Network(1),
     Way::Network(PLACED),
     Way::Turned,
     Way::OneView,
     Way::Noisy,
     Way::UnknownFriction,
-    Way::Plant,
+    Way::Off,
+    Way::Tried,
+    Way::TriedOff,
     Way::Search(10),
     Way::Search(100),
 ];
@@ -101,7 +108,9 @@ impl Way {
             Self::OneView => "network, one view".into(),
             Self::Noisy => "network, noisy view".into(),
             Self::UnknownFriction => "network, friction unknown".into(),
-            Self::Plant => "network, from a scan, hand off".into(),
+            Self::Off => "network, object and hand off".into(),
+            Self::Tried => "network, tried".into(),
+            Self::TriedOff => "network, tried, object and hand off".into(),
             Self::Search(100) => "search".into(),
             Self::Search(hundredths) => format!("search, {hundredths} % of it"),
         }
@@ -156,9 +165,12 @@ pub fn unseen(
         let seed = options.seed.wrapping_add(number);
         let object = at_rest(&spec, seed)?;
         let conditions = ConditionSpread::default().conditions(options.rollouts, seed);
+        let start = Instant::now();
+        let tried = tried(network, hand, &object, seed)?;
+        let tried = (tried, start.elapsed().as_secs_f64());
         let mut line = format!("{:14} {:4.0} g", spec.name, 1e3 * spec.mass_kg);
         for (way, rows) in WAYS.into_iter().zip(&mut all) {
-            let (row, tally) = one(network, hand, (&spec, &object), way, &conditions, options, seed)?;
+            let (row, tally) = one(network, hand, (&object, &tried), way, &conditions, options, seed)?;
             line += &format!("  {:2}", row.successes);
             rows.push((row, tally));
         }
@@ -200,22 +212,31 @@ fn summary(way: Way, rows: &[(Row, Tally)], reference: &[(Row, Tally)]) -> Unsee
 fn one(
     network: &ProposalNetwork,
     hand: &Arc<Robot>,
-    (spec, object): (&ObjectSpec, &Object),
+    // With grasps that were tried in simulation, and how long that took, s.
+    (object, tried): (&Object, &(Vec<Proposal>, f64)),
     way: Way,
     conditions: &[Condition],
     options: &UnseenOptions,
     seed: u64,
 ) -> Result<(Row, Tally)> {
     let turned = object.clone().with_rest_pose(Pose::rotation(Vector3::z() * 2.0) * object.world_from_object);
-    let scan = if way == Way::Plant { Some(scanned(spec, object, seed)?) } else { None };
-    let (object, truth) = (if way == Way::Turned { &turned } else { scan.as_ref().unwrap_or(object) }, object);
-    let mut evaluator = TrialEvaluator::new(object, hand, &TrialOptions::default(), options.engine)?;
-    if way == Way::Plant {
-        evaluator = evaluator.with_plant(Trial::new(disturbed(hand, seed), off_centre(truth, seed), late())?)?;
-    }
+    let object = if way == Way::Turned { &turned } else { object };
+    let evaluator = TrialEvaluator::new(object, hand, &TrialOptions::default(), options.engine)?;
+    let evaluator = match way {
+        Way::Off | Way::TriedOff => evaluator.evaluating_with(Mismatch::default()),
+        _ => evaluator,
+    };
     let closing = FingerClosing::new(hand)?;
     let tally = Mutex::new(Tally::default());
     let count = |of: &dyn Fn(&mut Tally)| tally.lock().map(|mut t| of(&mut t)).unwrap_or_default();
+    // What is made once for each object.
+    let once = |seconds: f64, placed: usize| {
+        count(&|t| {
+            t.asked += conditions.len();
+            t.placed += placed * conditions.len();
+            t.propose_s += seconds * conditions.len() as f64;
+        });
+    };
     let (points, views) = cloud(object, seed);
     let seen: Vec<Point3<f64>> = match views.first() {
         Some(view) if matches!(way, Way::OneView | Way::Noisy) => {
@@ -239,17 +260,17 @@ fn one(
     };
     let actor = match way {
         Way::Network(most) => Actor::Asked(Box::new(move |a| propose(a, most))),
-        Way::Turned | Way::OneView | Way::Noisy | Way::UnknownFriction | Way::Plant => {
+        Way::Turned | Way::OneView | Way::Noisy | Way::UnknownFriction | Way::Off => {
             Actor::Asked(Box::new(move |a| propose(a, PLACED)))
+        }
+        Way::Tried | Way::TriedOff => {
+            once(tried.1, tried.0.len());
+            Actor::Always(tried.0.clone())
         }
         Way::Search(hundredths) => {
             let start = Instant::now();
             let kept = searched(object, hand, &evaluator, options.search, hundredths, seed)?;
-            count(&|t| {
-                t.asked += conditions.len();
-                t.placed += kept.len() * conditions.len();
-                t.propose_s += start.elapsed().as_secs_f64() * conditions.len() as f64;
-            });
+            once(start.elapsed().as_secs_f64(), kept.len());
             Actor::Always(kept)
         }
     };
@@ -272,6 +293,28 @@ fn one(
     drop(actor);
     let tally = tally.into_inner().unwrap_or_default();
     Ok((row, tally))
+}
+
+/// The grasps of the network that hold best in simulation, under conditions that no rollout of the table has.
+fn tried(network: &ProposalNetwork, hand: &Arc<Robot>, object: &Object, seed: u64) -> Result<Vec<Proposal>> {
+    let options = TrialOptions::default();
+    let evaluator = TrialEvaluator::new(object, hand, &options, Engine::Diffsim)?;
+    let (seen, _) = cloud(object, seed);
+    let assumed = Assumed { mass_kg: object.mass_kg(), friction: MIDDLE_FRICTION };
+    let placed = proposals(network, &FingerClosing::new(hand)?, object, &seen, &assumed, 2 * TRIED, seed)?;
+    let grasps: Vec<Grasp> = placed.into_iter().map(|p| p.grasp).collect();
+    let (spread, shake_m_s2) = (ConditionSpread::default(), options.shake_m_s2);
+    let selection = SelectionOptions { spread, simulated: TRIED, shake_m_s2, seed };
+    let selected = select_grasps(object, hand, &grasps, &evaluator, &[object.mass_kg()], &selection)?;
+    Ok(in_order(selected.grasps.into_iter().map(|g| (g.grasp, 0.0))))
+}
+
+/// Proposals whose order is that of the path: weights fall by more than what is as good as another.
+fn in_order(grasps: impl Iterator<Item = (Grasp, f64)>) -> Vec<Proposal> {
+    grasps
+        .enumerate()
+        .map(|(i, (grasp, grip_force_n))| Proposal { grasp, grip_force_n, weight: 0.4_f64.powi(i as i32) })
+        .collect()
 }
 
 /// The points with normal noise.
@@ -299,7 +342,7 @@ fn searched(
     let frictions = [0.27, 0.35, 0.45, 0.55, 0.65, 0.8];
     let mass_kg = object.mass_kg();
     let close = |grasp: Grasp| -> Result<Option<(usize, Proposal)>> {
-        let hand = evaluator.close(&grasp, &Assumed { mass_kg, friction: 0.55 })?;
+        let hand = evaluator.close(&grasp, &Assumed { mass_kg, friction: MIDDLE_FRICTION })?;
         for (place, friction) in frictions.into_iter().enumerate() {
             if let Ok(grip_force_n) =
                 evaluator.grip_force_n(&hand, &Assumed { mass_kg, friction }, GripForce::Required)?
@@ -313,9 +356,7 @@ fn searched(
     let mut closed: Vec<(usize, Proposal)> = closed.into_iter().flatten().collect();
     closed.sort_by(|(i, a), (j, b)| i.cmp(j).then(a.grip_force_n.total_cmp(&b.grip_force_n)));
     closed.truncate(KEPT);
-    // The order is that of the path: weights fall by more than what is as good as another.
-    let weighed = closed.into_iter().enumerate().map(|(i, (_, p))| Proposal { weight: 0.4_f64.powi(i as i32), ..p });
-    Ok(weighed.collect())
+    Ok(in_order(closed.into_iter().map(|(_, p)| (p.grasp, p.grip_force_n))))
 }
 
 impl UnseenRow {
