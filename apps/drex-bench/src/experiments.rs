@@ -454,7 +454,7 @@ impl<E: Evaluator> Bench<'_, E> {
         let learned = Learned::train(&ready.thing.object, &self.robot, grasps, &ready.evaluator, &options)?;
         let from = learned.carries_from.map_or(String::new(), |mu| format!(" (from a friction of {mu:.2} on)"));
         (self.note)(&format!(
-            "{:>10}  {}: {} of {} grasps can be commanded{from}, {} held in practice, {} learned ({}); practice {:.0} s, demonstrations {:.0} s, rollouts {:.0} s",
+            "{:>10}  {}: {} of {} grasps can be commanded{from}, {} held in practice, {} learned ({}); practice {:.0} s, learning {:.0} s",
             "trained",
             ready.thing.spec.name,
             learned.commanded,
@@ -463,8 +463,7 @@ impl<E: Evaluator> Bench<'_, E> {
             learned.learned.total(),
             learned.learned,
             learned.seconds[0],
-            learned.seconds[1],
-            learned.seconds[2]
+            learned.seconds[1]
         ));
         Ok(learned)
     }

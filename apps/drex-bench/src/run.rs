@@ -429,7 +429,6 @@ fn grasp_table(args: &GraspArgs, seed: u64) -> Result<(Table, Arc<Robot>)> {
     options.law = options.law.with_margin(args.margin);
     let mut train = TrainOptions::default().with_seed(seed).with_points(POINTS);
     train.epochs = args.epochs.unwrap_or(train.epochs);
-    train.rollouts.wanted_friction_share = options.law.friction_share();
     let bench = Bench {
         hand: &hand,
         robot: robot.clone(),

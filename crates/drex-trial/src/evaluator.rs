@@ -234,8 +234,7 @@ pub fn rollouts<E: Evaluator>(
 pub struct TrialEvaluator {
     trial: Trial,
     engine: Engine,
-    /// What is off in the trials of each kind.
-    validated: Option<Mismatch>,
+    /// What is off where it evaluates.
     evaluated: Option<Mismatch>,
 }
 
@@ -246,19 +245,13 @@ impl TrialEvaluator {
     /// As [`Trial::new`].
     pub fn new(object: &Object, robot: &Arc<Robot>, options: &TrialOptions, engine: Engine) -> Result<Self> {
         let trial = Trial::new(robot.clone(), object.clone(), options.clone())?;
-        Ok(Self { trial, engine, validated: None, evaluated: None })
+        Ok(Self { trial, engine, evaluated: None })
     }
 
     /// [`Evaluator::evaluate`] with another hand and another object than those that are planned for, drawn anew for each [`Truth`].
     #[must_use]
     pub fn evaluating_with(self, mismatch: Mismatch) -> Self {
         Self { evaluated: Some(mismatch), ..self }
-    }
-
-    /// The same of [`Evaluator::validate`], by which grasps are selected.
-    #[must_use]
-    pub fn validating_with(self, mismatch: Mismatch) -> Self {
-        Self { validated: Some(mismatch), ..self }
     }
 
     /// The hand and the object.
@@ -271,12 +264,12 @@ impl TrialEvaluator {
     /// # Errors
     /// As [`Trial::record`].
     pub fn record(&self, command: &Command, truth: &Truth, every_s: f64) -> Result<Vec<Frame>> {
-        Ok(self.under(&self.evaluated, truth)?.record(command, truth, self.engine, every_s)?.1)
+        Ok(self.evaluated(truth)?.record(command, truth, self.engine, every_s)?.1)
     }
 
-    /// The trial, or one that is off.
-    fn under(&self, mismatch: &Option<Mismatch>, truth: &Truth) -> Result<Cow<'_, Trial>> {
-        match mismatch {
+    /// The trial by which it evaluates.
+    fn evaluated(&self, truth: &Truth) -> Result<Cow<'_, Trial>> {
+        match &self.evaluated {
             Some(mismatch) => Ok(Cow::Owned(self.trial.mismatched(mismatch, truth.seed)?)),
             None => Ok(Cow::Borrowed(&self.trial)),
         }
@@ -328,15 +321,15 @@ impl Evaluator for TrialEvaluator {
     }
 
     fn validate(&self, command: &Command, truth: &Truth) -> Result<Evaluation> {
-        Ok(self.under(&self.validated, truth)?.run(command, truth, Engine::Diffsim)?.into())
+        Ok(self.trial.run(command, truth, Engine::Diffsim)?.into())
     }
 
     fn validate_until_failure(&self, command: &Command, truth: &Truth) -> Result<Evaluation> {
-        Ok(self.under(&self.validated, truth)?.run_until_failure(command, truth, Engine::Diffsim)?.into())
+        Ok(self.trial.run_until_failure(command, truth, Engine::Diffsim)?.into())
     }
 
     fn evaluate(&self, command: &Command, truth: &Truth) -> Result<Evaluation> {
-        Ok(self.under(&self.evaluated, truth)?.run(command, truth, self.engine)?.into())
+        Ok(self.evaluated(truth)?.run(command, truth, self.engine)?.into())
     }
 }
 

@@ -42,7 +42,7 @@ pub use options::TrialOptions;
 pub use outcome::{Outcome, Verdict};
 pub use path::{GraspPath, PathForce, PlannedGrasp, Proposal, sort_proposals};
 pub use reach::Reach;
-pub use selection::{DemonstrationCounts, Selection, SelectionOptions, VALIDATION_SEED, ValidatedGrasp, select_grasps};
+pub use selection::{DemonstrationCounts, Selection, SelectionOptions, ValidatedGrasp, select_grasps};
 pub use stats::{Interval, clustered, clustered_difference, paired_difference, wilson};
 pub use stoppable::Stoppable;
 pub use timeline::phases;

@@ -1,8 +1,7 @@
 //! Selection of grasps that hold in simulation, under conditions that no evaluated rollout has.
 //!
 //! Four filter stages, each costlier than the one before: the motors' torques at rest, a dry run of the closing with the grip force
-//! for its contacts, hill climbing from the best of these, and successive halving over simulated trials with mutations between the
-//! rungs.
+//! for its contacts, hill climbing from the best of these, and successive halving over simulated trials.
 //!
 //! Demonstrated grasps go through them on their own, so that they are refined until they hold and not discarded for others that hold as they
 //! are. What they become stays near what was demonstrated.
@@ -45,10 +44,6 @@ const SAME: GraspChange = GraspChange { joint_rad: 0.03, base_m: 0.002, base_rad
 const MOST_REFINED: GraspChange = GraspChange { joint_rad: 0.4, base_m: 0.02, base_rad: 0.35 };
 /// Perturbations of one grasp in a generation.
 const PERTURBATIONS: usize = 4;
-/// The rung after which what is left is mutated.
-const MUTATION_RUNG: usize = 1;
-/// Relative sizes of the mutations, generation by generation.
-const MUTATION_SIZES: [f64; 3] = [0.5, 0.35, 0.25];
 /// Step of the simulated frictions through their range, the golden ratio: any few of them in a row cover the range evenly.
 const FRICTION_STEP: f64 = 0.618_033_988_749_895;
 /// The first simulated friction, as a share of the range: low, where most fails.
@@ -64,7 +59,7 @@ const MIN_SCORE_SHARE_IF_UNIQUE: f64 = 0.7;
 /// Largest number of grasps that are selected.
 const MAX_SELECTED: usize = 24;
 /// Distinguishes the seeds of simulated trials from those of evaluated ones.
-pub const VALIDATION_SEED: u64 = 0x70_72_61_63;
+const VALIDATION_SEED: u64 = 0x70_72_61_63;
 
 /// How grasps are selected.
 #[derive(Debug, Clone, PartialEq)]
@@ -398,18 +393,10 @@ impl<E: Evaluator> Task<'_, E> {
             return Ok(validated.into_iter().map(|p| p.0).collect());
         }
         let mut until = 0;
-        for (rung, (count_of, one_of)) in RUNGS.into_iter().enumerate() {
+        for (count_of, one_of) in RUNGS {
             until += count_of;
             validated.par_iter_mut().try_for_each(|p| self.continue_trials(p, &conditions[..until]))?;
             best(&mut validated, simulated.div_ceil(one_of));
-            if rung != MUTATION_RUNG {
-                continue;
-            }
-            for (generation, size) in MUTATION_SIZES.into_iter().enumerate() {
-                let seed = (!options.seed).wrapping_sub(generation as u64);
-                validated.extend(self.mutate(&validated, &conditions[..until], size, seed)?);
-                best(&mut validated, simulated.div_ceil(one_of));
-            }
         }
         Ok(validated.into_iter().map(|p| p.0).collect())
     }
@@ -425,36 +412,6 @@ impl<E: Evaluator> Task<'_, E> {
             p.scores.push(if evaluation.held() { 1.0 + MARGIN_WEIGHT * evaluation.safety_margin } else { 0.0 });
         }
         Ok(())
-    }
-
-    /// Variations of grasps in practice, those that went no worse than what they come from.
-    fn mutate(
-        &self,
-        parents: &[(ValidatedGrasp, E::Closed)],
-        conditions: &[(Condition, f64)],
-        size: f64,
-        seed: u64,
-    ) -> Result<Vec<(ValidatedGrasp, E::Closed)>> {
-        let closing = FingerClosing::new(self.robot)?;
-        let born = |i: usize| {
-            let parent = &parents[i / PERTURBATIONS].0;
-            let demonstration = parent.demonstration.as_ref();
-            let near = self.neighbour(&closing, &parent.grasp, demonstration, size, (seed, i as u64))?;
-            let Some(ClosedGrasp { grasp, demonstration, closed, .. }) = near else { return Ok(None) };
-            let fingers = self.evaluator.fingers(&closed);
-            let mut child = (ValidatedGrasp { grasp, demonstration, fingers, scores: Vec::new() }, closed);
-            // A few conditions say of most that they are no better.
-            for until in [RUNGS[0].0, conditions.len()] {
-                self.continue_trials(&mut child, &conditions[..until])?;
-                if child.0.score() < parent.scores[..until].iter().sum::<f64>() {
-                    return Ok(None);
-                }
-            }
-            Ok(Some(child))
-        };
-        let children: Vec<Option<_>> =
-            (0..parents.len() * PERTURBATIONS).into_par_iter().map(born).collect::<Result<_>>()?;
-        Ok(children.into_iter().flatten().collect())
     }
 }
 

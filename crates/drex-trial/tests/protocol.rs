@@ -5,7 +5,10 @@ mod support;
 
 use drex_core::Pose;
 use drex_grasp::Grasp;
-use drex_trial::{Assumed, Command, Engine, GripForce, Mismatch, NoCommand, Outcome, Trial, Truth, Verdict};
+use drex_trial::{
+    Assumed, Command, Engine, Evaluator as _, GripForce, Mismatch, NoCommand, Outcome, Trial, TrialEvaluator,
+    TrialOptions, Truth, Verdict,
+};
 use rayon::prelude::*;
 use support::{grasps, trial_of};
 
@@ -128,6 +131,12 @@ fn a_command_is_carried_out_by_the_hand_that_is_there() {
     // Commands are angles: of drives of which some have hardly any stiffness, hardly any press as is meant.
     let weak = (0..4).map(|seed| outcome(|m| m.joint_share = 0.95, seed));
     assert!(weak.filter(Outcome::succeeded).count() < 4);
+    // Of an evaluator what counts is off, and what grasps are selected by is not.
+    let options = TrialOptions::default();
+    let evaluator = TrialEvaluator::new(known.object(), known.hand(), &options, Engine::Diffsim).unwrap();
+    let evaluator = evaluator.evaluating_with(Mismatch::default());
+    assert_eq!(evaluator.validate(&command, &truth).unwrap(), same.clone().into());
+    assert_ne!(evaluator.evaluate(&command, &truth).unwrap(), same.clone().into());
     let mut early = Mismatch::NONE;
     early.latency_s = -0.01;
     assert!(known.mismatched(&early, 1).err().unwrap().to_string().contains("latency_s is -0.01"));

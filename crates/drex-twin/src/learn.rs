@@ -1,4 +1,4 @@
-//! A policy of one object: trained on grasps that hold in simulation, then by rollouts of what it proposes.
+//! A policy of one object, trained on grasps that hold in simulation.
 
 use std::sync::Arc;
 use std::time::Instant;
@@ -8,13 +8,12 @@ use crate::error::{Context, refuse};
 use drex_core::Object;
 use drex_grasp::{Grasp, GraspOrigin, OriginCounts};
 use drex_policy::{
-    Dataset, Feedback, GraspPolicy, GraspSample, ObjectCloud, PredictedGrasp, Query, Rollouts, TrainOptions,
-    TrainReport, Trainer,
+    Dataset, GraspPolicy, GraspSample, ObjectCloud, PredictedGrasp, Query, TrainOptions, TrainReport, Trainer,
 };
 use drex_robot::Robot;
 use drex_trial::{
-    Assumed, Condition, ConditionSpread, DemonstrationCounts, Evaluation, Evaluator, GripForce, Proposal, Selection,
-    SelectionOptions, VALIDATION_SEED, ValidatedGrasp, select_grasps,
+    Assumed, ConditionSpread, DemonstrationCounts, Evaluator, GripForce, Proposal, Selection, SelectionOptions,
+    ValidatedGrasp, select_grasps,
 };
 use nalgebra::{Point3, Vector3};
 use rayon::prelude::*;
@@ -25,8 +24,6 @@ pub const POINTS: usize = 512;
 pub(crate) const MASS_FACTORS: [f64; 3] = [0.4, 1.0, 2.0];
 /// and at these multiples of its friction.
 const FRICTION_FACTORS: [f64; 3] = [0.7, 1.0, 1.5];
-/// Rounds of rollouts of the network, views of a round, tries of a view.
-const ROUNDS: (usize, usize, usize) = (10, 6, 8);
 /// More than the motors of any hand grip force with, N.
 const MORE_THAN_ANY_N: f64 = 1e4;
 
@@ -68,13 +65,13 @@ pub struct Learned {
     pub report: TrainReport,
     /// Number of pairs of grasp and grip force.
     pub samples: usize,
-    /// Time of the selection, of learning from demonstrations and of learning from rollouts, s.
-    pub seconds: [f64; 3],
+    /// Time of the selection and of learning, s.
+    pub seconds: [f64; 2],
 }
 
 impl Learned {
-    /// Trains on grasps of an object: those that hold in practice, with the force that the cone programme asks for once the hand has
-    /// closed; then by rollouts of what the network proposes. All in drex-diffsim.
+    /// Trains on grasps of an object: those that hold in practice, in drex-diffsim, with the force that the cone programme asks for once the hand
+    /// has closed.
     ///
     /// # Errors
     /// If no grasp can carry the object at any of the masses, or the training fails.
@@ -124,16 +121,11 @@ impl Learned {
         // Every grasp that held has a mode of its own; a mean of two may hold nothing.
         train.modes = selected.len();
         train.hold_out_every = 0;
-        (train.rollouts.epochs, train.rollouts.scenes, train.rollouts.tries) = ROUNDS;
-        train.rollouts.epochs = train.rollouts.epochs.min(options.simulated / 10);
         let selected_s = start.elapsed().as_secs_f64();
         let mut trainer = Trainer::new(&data, &train)?;
         while trainer.learn()?.is_some() {}
-        let learned_s = start.elapsed().as_secs_f64();
-        let practice = Practice { evaluator, data: &data, spread: options.spread };
-        while trainer.roll_out(&practice)?.is_some() {}
         let (policy, report) = trainer.finish()?;
-        let seconds = [selected_s, learned_s - selected_s, start.elapsed().as_secs_f64() - learned_s];
+        let seconds = [selected_s, start.elapsed().as_secs_f64() - selected_s];
         let (learned, samples) = (OriginCounts::of(selected.iter().map(|p| p.grasp.origin)), data.samples.len());
         let validated = selected;
         Ok(Self {
@@ -265,56 +257,4 @@ fn needed_n<E: Evaluator>(evaluator: &E, closed: &E::Closed, assumed: &Assumed) 
         }
     }
     Ok(None)
-}
-
-/// Rollouts of what the network proposes, with its own force.
-struct Practice<'a, E> {
-    evaluator: &'a E,
-    /// Names of hand and joints.
-    data: &'a Dataset,
-    spread: ConditionSpread,
-}
-
-impl<E: Evaluator> Rollouts for Practice<'_, E> {
-    fn rollout(
-        &self,
-        object: usize,
-        grasp: &PredictedGrasp,
-        mass_kg: f64,
-        friction: f64,
-        seed: u64,
-    ) -> drex_policy::Result<Feedback> {
-        self.feedback(grasp, mass_kg, friction, seed).map_err(|e| drex_policy::Error::Rollout {
-            object: format!("number {object}"),
-            mass_kg,
-            friction,
-            what: e.to_string(),
-            remedy: "see what the simulator says".into(),
-        })
-    }
-}
-
-impl<E: Evaluator> Practice<'_, E> {
-    fn feedback(&self, predicted: &PredictedGrasp, mass_kg: f64, friction: f64, seed: u64) -> Result<Feedback> {
-        let assumed = Assumed { mass_kg, friction };
-        let grasp = grasp_of(&self.data.hand, &self.data.joint_names, predicted);
-        let closed = self.evaluator.close(&grasp, &assumed)?;
-        let needed = needed_n(self.evaluator, &closed, &assumed)?;
-        let condition = Condition { friction, ..self.spread.conditions(1, seed ^ VALIDATION_SEED)[0] };
-        let evaluation = match self.evaluator.command(&closed, &assumed, GripForce::Total(predicted.grip_force_n))? {
-            Ok(command) => self.evaluator.validate(&command, &condition.truth(mass_kg))?,
-            Err(reason) => Evaluation::refused(&reason),
-        };
-        let fingers_in_contact = match evaluation.fingers.is_empty() {
-            true => self.evaluator.fingers(&closed),
-            false => evaluation.fingers.clone(),
-        };
-        Ok(Feedback {
-            fingers_in_contact,
-            retained: evaluation.retained,
-            held: evaluation.held(),
-            friction_used: evaluation.friction_used,
-            needed_grip_force_n: needed,
-        })
-    }
 }

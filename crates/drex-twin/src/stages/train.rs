@@ -65,7 +65,7 @@ fn validated(
     let search = twin.manifest.train.as_ref().and_then(|t| t.search).unwrap_or(0);
     let grasps = tried.grasps(fits, search, twin.seed)?;
     progress.begin("practice", None);
-    let mut options = LearnOptions {
+    let options = LearnOptions {
         train,
         // Where nobody states the friction they have to hold at all that the hand reckons with.
         spread: ConditionSpread::around(twin.manifest.object.friction),
@@ -74,7 +74,6 @@ fn validated(
         masses_kg: Vec::new(),
         mass_hidden: false,
     };
-    options.train.rollouts.wanted_friction_share = GripForcePolicy::default().friction_share();
     let go_on = || flow(progress);
     let evaluator = Stoppable::new(&tried.evaluator, &go_on);
     let learned = Learned::train(&tried.object, &tried.robot, &grasps, &evaluator, &options)?;
@@ -86,7 +85,7 @@ fn validated(
         learned.commanded,
         learned.learned.total()
     ));
-    for (part, seconds) in ["practice", "demonstrations", "rollouts"].into_iter().zip(learned.seconds) {
+    for (part, seconds) in ["practice", "learning"].into_iter().zip(learned.seconds) {
         twin.took(part, seconds);
     }
     let training = Training {
