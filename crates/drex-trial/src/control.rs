@@ -9,7 +9,7 @@ use crate::reach::Reach;
 use crate::timeline::{APPROACHED_S, CLOSED_S, GRIPPED_S};
 
 /// Torque beyond a joint's own friction with which fingers close until they touch, N m: four fingers then press with about two newtons in
-/// all. With half of it drives that are weaker than their model stop short of an object (docs/grasping.md). Joints that have no part in a grip force hold their
+/// all. With half of it drives that are weaker than their model stop short of an object (benches/results/unseen.md). Joints that have no part in a grip force hold their
 /// place with as much.
 const CLOSING_NM: f64 = 0.04;
 /// Ends of the parts of the grip force, as shares of its time. A finger at rest presses with what it pressed with before, as far as its joints' dry friction
