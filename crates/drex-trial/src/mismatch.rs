@@ -29,7 +29,8 @@ const HALVINGS: i32 = 4;
 pub struct Mismatch {
     /// How far points of the object's surface are off, root mean square, m: by smooth waves of 30 to 120 mm.
     pub surface_m: f64,
-    /// Farthest that the centre of mass is off, m; the object still stands where it did.
+    /// Farthest that the centre of mass is off, m. The object still stands where it did: what rolls is off along its axis and in height alone, what stands
+    /// on a few points, such as the foot of a scan, in height alone.
     pub centre_m: f64,
     /// Part by which dry friction of each joint and gains of each drive are off at most.
     pub joint_share: f64,

@@ -130,7 +130,7 @@ fn a_command_is_carried_out_by_the_hand_that_is_there() {
     assert_eq!(outcome(late, 5), outcome(late, 6));
     // Commands are angles: of drives of which some have hardly any stiffness, hardly any press as is meant.
     let weak = (0..4).map(|seed| outcome(|m| m.joint_share = 0.95, seed));
-    assert!(weak.filter(Outcome::succeeded).count() < 4);
+    assert_eq!(weak.filter(Outcome::succeeded).count(), 0);
     // Of an evaluator what counts is off, and what grasps are selected by is not.
     let options = TrialOptions::default();
     let evaluator = TrialEvaluator::new(known.object(), known.hand(), &options, Engine::Diffsim).unwrap();

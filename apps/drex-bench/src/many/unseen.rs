@@ -75,7 +75,7 @@ enum Way {
     UnknownFriction,
     /// All of it, but surface, centre of mass and hand are others than those that it is planned for: [`Mismatch`].
     Off,
-    /// Those of the network's first [`TRIED`] that held best in simulation, as `drex grasp` tries them; where all is as planned, and where it is not.
+    /// Those of its proposals that held best where [`TRIED`] of them were tried in simulation, at all frictions; where all is as planned, and where it is not.
     Tried,
     TriedOff,
     /// A search with so many hundredths of the effort.

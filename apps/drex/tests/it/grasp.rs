@@ -62,13 +62,12 @@ fn a_trained_twin_grasps_and_deploys() {
     let risk = smoother.sum::<f64>() / likely_kg.len() as f64;
     assert!((risk - number("risk")).abs() < 1e-6, "{risk} {joint}");
     edit(&twin.join("twin.toml"), "friction = 0.5", "# friction = 0.5");
-    // The object is made of its mesh anew, not read from what was written: the last digits of its numbers are others.
     let unstated = unknown(&[]);
+    assert_eq!(unstated, unknown(&["--friction", "0.3,0.8"]));
+    // Of another manifest the object is made of its mesh anew, not read from what was written: the last digits of its forces are others.
     for same in ["friction", "friction_range", "risk", "joints_rad", "place"] {
         assert_eq!(unstated[same], between[same], "{same}");
     }
-    let force = |answer: &serde_json::Value| answer["squeeze_n"].as_f64().unwrap();
-    assert!((force(&unstated) - force(&between)).abs() < 1e-6, "{unstated}");
     edit(&twin.join("twin.toml"), "# friction = 0.5", "friction = 0.5");
 
     // Motors that give next to nothing carry nothing.
