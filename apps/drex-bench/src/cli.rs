@@ -247,11 +247,11 @@ pub struct UnseenArgs {
     #[arg(long, value_name = "N", default_value_t = 0)]
     pub first: u64,
     /// Number of objects.
-    #[arg(long, value_name = "K", default_value_t = 60)]
+    #[arg(long, value_name = "K", default_value_t = 60, value_parser = clap::value_parser!(u64).range(1..=100_000))]
     pub count: u64,
     /// Rollouts of each object and way.
-    #[arg(long, value_name = "N", default_value_t = 10)]
-    pub rollouts: usize,
+    #[arg(long, value_name = "N", default_value_t = 10, value_parser = clap::value_parser!(u32).range(1..=100_000))]
+    pub rollouts: u32,
     /// Pinches that the exhaustive search looks at; a fiftieth as many power grasps are tried.
     #[arg(long, value_name = "N", default_value_t = 20_000)]
     pub search: usize,

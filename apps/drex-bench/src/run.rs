@@ -267,7 +267,7 @@ fn unseen(args: &UnseenArgs, seed: u64) -> Result<Vec<UnseenRow>> {
         })?,
     };
     let &UnseenArgs { first, count, rollouts, search, engine, .. } = args;
-    let options = UnseenOptions { first, count, rollouts, search, engine: engine.into(), seed };
+    let options = UnseenOptions { first, count, rollouts: rollouts as usize, search, engine: engine.into(), seed };
     many::unseen(&network, &hand, &options, &|line| eprintln!("{line}"))
 }
 

@@ -189,5 +189,9 @@ fn a_network_is_trained_on_some_objects_and_tried_on_others() {
     assert_eq!(rows.as_array().map(Vec::len), Some(11), "{rows}");
     assert!(rows.as_array().unwrap().iter().all(|r| r["n"] == 1), "{rows}");
     bench(["unseen", "--network", &format!("{folder}/none.safetensors")]).fails_with(&["none.safetensors"]);
+    for none in ["--count", "--rollouts"] {
+        let refused = bench(["unseen", "--network", &network, none, "0"]);
+        assert!(refused.code != 0 && refused.stderr.contains(none), "{}", refused.stderr);
+    }
     bench(["unseen", "--network", &network, "--hand", "allegro", "--count", "1"]).fails_with(&["leap"]);
 }
